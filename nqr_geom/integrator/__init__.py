@@ -1,0 +1,1 @@
+"""The shared integrator: problems, samplers, rules and estimates. It knows no application."""
