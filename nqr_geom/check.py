@@ -64,15 +64,11 @@ def array(name: str, value: ArrayLike, shape: tuple[int | str, ...], *, finite: 
         raise ValueError(f"{name}: expected shape {expected}, got {result.shape}")
     if finite and not np.isfinite(result).all():
         bad = np.argwhere(~np.isfinite(result))[0]
-        raise ValueError(
-            f"{name}: expected finite numbers, got {result[tuple(bad)]} at index {tuple(bad.tolist())}"
-        )
+        raise ValueError(f"{name}: expected finite numbers, got {result[tuple(bad)]} at index {tuple(bad.tolist())}")
     return result
 
 
-def number(
-    name: str, value: Any, *, low: float = -math.inf, high: float = math.inf, open_low: bool = False
-) -> float:
+def number(name: str, value: Any, *, low: float = -math.inf, high: float = math.inf, open_low: bool = False) -> float:
     """Return `value` as a finite float in [low, high] (or (low, high]), or raise naming the argument.
 
     Examples

@@ -1,0 +1,249 @@
+"""Run a sampler and a rule over a problem, in tiles, and say everything about the answer."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from nqr_geom import check
+from nqr_geom.integrator import memory
+from nqr_geom.integrator.problem import Problem
+from nqr_geom.integrator.rules import Rule
+from nqr_geom.integrator.samplers import Sampler
+from nqr_geom.streams import Stream
+
+__all__ = ["Estimate", "Statistics", "run"]
+
+TILE_SAMPLES = 2**17  # integrand values held at a time; a fixed number, so that tiling depends on n alone
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Mean and spread of independent terms, mergeable (Chan, Golub, LeVeque 1983).
+
+    Parameters
+    ----------
+    mean, m2 : ndarray, (B, C), float64
+        Mean of the terms and sum of their squared deviations from it.
+    count : int
+        Number of terms.
+    kind : {"samples", "replicates"}
+        What a term is: one independent sample, or a whole replicate of a design.
+    """
+
+    mean: NDArray[np.float64]
+    m2: NDArray[np.float64]
+    count: int
+    kind: str
+
+    def merge(self, other: Statistics) -> Statistics:
+        """Statistics of both sets of terms together."""
+        if self.kind != other.kind or self.mean.shape != other.mean.shape:
+            raise ValueError(
+                f"other: expected {self.kind} of shape {self.mean.shape}, got {other.kind} of {other.mean.shape}"
+            )
+        count = self.count + other.count
+        delta = other.mean - self.mean
+        mean = self.mean + delta * (other.count / count)
+        m2 = self.m2 + other.m2 + delta**2 * (self.count * other.count / count)
+        return Statistics(mean, m2, count, self.kind)
+
+    @property
+    def stderr(self) -> NDArray[np.float64] | None:
+        """Standard error of the mean, or None where too few terms make it meaningless."""
+        least = 2 if self.kind == "samples" else 8
+        return np.sqrt(self.m2 / (self.count - 1) / self.count) if self.count >= least else None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An answer and everything worth knowing about it.
+
+    Attributes
+    ----------
+    value : ndarray, (B, C), float64
+        The estimates G(F).
+    stderr : ndarray, (B, C), or None
+        Standard error, for independent samples or at least 8 replicates; None where there is none to trust.
+    n : int
+        Samples per integral and replicate.
+    inner : ndarray, (B, C)
+        The inner integrals F before the link, mean over the replicates.
+    counts : dict
+        Work that was done: "queries" of the integrand, and what else the problem counts.
+    seconds : float
+        Wall time; `stages` splits it.
+    peak_memory : int or None
+        Bytes above the level before the run, where the system tells.
+    effects : frozenset of str
+        What the problem called for.
+    fallback : ndarray, (B,), bool
+        Integrals where the method gave way to a safer one or had to clamp.
+    plan : dict
+        Which sampler, rule and budget ran, and why.
+    """
+
+    value: NDArray[np.float64]
+    stderr: NDArray[np.float64] | None
+    n: int
+    inner: NDArray[np.float64]
+    counts: dict[str, int]
+    seconds: float
+    stages: dict[str, float]
+    peak_memory: int | None
+    effects: frozenset[str]
+    fallback: NDArray[np.bool_]
+    plan: dict[str, Any]
+    statistics: Statistics = field(repr=False)
+
+    def merge(self, other: Estimate) -> Estimate:
+        """Both estimates together; they must come from the same problem and method with different seeds.
+
+        Examples
+        --------
+        >>> import nqr_geom as ng
+        >>> problem = ng.problems.toy(4)
+        >>> one, two = (ng.integrate(problem, n=16, sampler="random", seed=s) for s in (0, 1))
+        >>> one.merge(two).counts["queries"]
+        128
+        """
+        same = ("problem", "sampler", "rule", "n")
+        if [self.plan[key] for key in same] != [other.plan[key] for key in same]:
+            raise ValueError(f"other: expected an estimate by the same plan {self.plan}, got {other.plan}")
+        if set(self.plan["seeds"]) & set(other.plan["seeds"]):
+            raise ValueError(f"other: expected other seeds than {self.plan['seeds']}, got {other.plan['seeds']}")
+        statistics = self.statistics.merge(other.statistics)
+        return replace(
+            self,
+            value=statistics.mean,
+            inner=(self.inner * self.statistics.count + other.inner * other.statistics.count) / statistics.count,
+            stderr=statistics.stderr,
+            counts={key: self.counts[key] + other.counts[key] for key in self.counts},
+            seconds=self.seconds + other.seconds,
+            stages={key: self.stages[key] + other.stages[key] for key in self.stages},
+            peak_memory=max(filter(None, (self.peak_memory, other.peak_memory)), default=None),
+            fallback=self.fallback | other.fallback,
+            plan={**self.plan, "seeds": self.plan["seeds"] + other.plan["seeds"]},
+            statistics=statistics,
+        )
+
+
+def tiles(batch: int, n: int) -> list[slice]:
+    """Cut a batch into tiles of a fixed number of rows that depends on n alone."""
+    rows = max(1, TILE_SAMPLES // n)
+    return [slice(start, min(start + rows, batch)) for start in range(0, batch, rows)]
+
+
+def _tile(
+    problem: Problem, sampler: Sampler, rule: Rule, n: int, stream: Stream, stages: dict[str, float]
+) -> dict[str, Any]:
+    """One replicate of one tile: estimate, spread of its terms where they are independent, and the work done."""
+    start = time.perf_counter()
+    samples = sampler.draw(problem, n, stream)
+    drawn = time.perf_counter()
+    samples, link = problem.finalize(samples)
+    combination = rule.combine(samples)
+    inner = combination.estimate(samples)
+    value = link(inner)
+    fallback = link.clamped(inner).any(dim=1)
+    if combination.fallback is not None:
+        fallback = fallback | combination.fallback
+    m2 = None
+    if rule.averages and samples.independent and n > 1:
+        spread = (combination.per_sample(samples) - inner[:, None]).square().sum(dim=1)
+        m2 = spread * link.slope(inner) ** 2
+    stages["draw"] += drawn - start
+    stages["combine"] += time.perf_counter() - drawn
+    counts = {"samples": samples.x.shape[0] * n, "queries": samples.seen.queries}
+    return {"value": value, "inner": inner, "m2": m2, "fallback": fallback, "counts": counts}
+
+
+def run(
+    problem: Problem,
+    sampler: Sampler,
+    rule: Rule,
+    n: int,
+    *,
+    replicates: int = 1,
+    seed: int = 0,
+    split: str = "test",
+) -> Estimate:
+    """Estimate all integrals of a problem with one sampler and one rule.
+
+    Parameters
+    ----------
+    problem : Problem
+        B integrals over [0,1]^D.
+    sampler, rule : Sampler, Rule
+        Any of the registry, or your own.
+    n : int
+        Samples per integral, >= 1.
+    replicates : int
+        Independent repetitions that are averaged (behind the link); from 8 on they give a standard error.
+    seed : int
+        The same seed gives the same answer, bit for bit, whatever part of a batch is asked for.
+    split : {"test", "train", "validation"}
+        Which random numbers; public calls use "test".
+
+    Returns
+    -------
+    Estimate
+        Value, standard error, counts, time by stage.
+
+    Raises
+    ------
+    ValueError
+        If n or replicates is below 1, or sampler, rule and problem do not fit.
+    """
+    n = check.integer("n", n, low=1)
+    replicates = check.integer("replicates", replicates, low=1)
+    seed = check.integer("seed", seed)
+    stages = {"draw": 0.0, "combine": 0.0}
+    shape = (problem.batch, problem.channels)
+    statistics = Statistics(np.zeros(shape), np.zeros(shape), 0, "replicates")
+    inner = np.zeros(shape)
+    fallback = np.zeros(problem.batch, dtype=bool)
+    counts: dict[str, int] = {"samples": 0, "queries": 0}
+    start = time.perf_counter()
+    with memory.PeakMemory() as peak, torch.no_grad():
+        for replicate in range(replicates):
+            stream = Stream(seed, split, f"samples/{replicate}")
+            value, m2 = np.empty(shape), np.zeros(shape)
+            kind = "replicates"
+            for tile in tiles(problem.batch, n):
+                part = _tile(problem.take(tile), sampler, rule, n, stream, stages)
+                value[tile] = part["value"].cpu().numpy()
+                inner[tile] += part["inner"].cpu().numpy() / replicates
+                fallback[tile] |= part["fallback"].cpu().numpy()
+                counts = {key: counts[key] + part["counts"][key] for key in counts}
+                if part["m2"] is not None:
+                    m2[tile], kind = part["m2"].cpu().numpy(), "samples"
+            count = n if kind == "samples" else 1
+            latest = Statistics(value, m2, count, kind)
+            statistics = statistics.merge(latest) if statistics.count else latest
+    return Estimate(
+        value=statistics.mean,
+        stderr=statistics.stderr,
+        n=n,
+        inner=inner,
+        counts=counts,
+        seconds=time.perf_counter() - start,
+        stages=stages,
+        peak_memory=peak.peak,
+        effects=problem.effects,
+        fallback=fallback,
+        plan={
+            "problem": problem.name,
+            "sampler": sampler.name,
+            "rule": rule.name,
+            "n": n,
+            "replicates": replicates,
+            "seeds": (seed,),
+        },
+        statistics=statistics,
+    )

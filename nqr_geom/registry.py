@@ -1,0 +1,219 @@
+"""What there is: every sampler, rule, problem and model by name, where it lives and what it can do.
+
+This table imports nothing heavy. Property tests, documentation and the command line loop over it, so a new line here
+is tested and documented the day it is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+__all__ = ["ALIASES", "Entry", "entries", "entry", "make", "method"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the registry.
+
+    Parameters
+    ----------
+    name, summary : str
+        What a user types, and one line of explanation.
+    target : str
+        "module:attribute" of the class or factory.
+    options : dict
+        Keyword arguments that make this entry of its class.
+    exact : str
+        What a rule integrates exactly, on points of a sampler it accepts: "nothing", "constants", "degree k",
+        "degree 2N-1", "control" (its control variate) or the name of a family.
+    linear : bool
+        Whether the estimate is linear in the values.
+    dims : str
+        "any" or "1".
+    needs : str
+        What samples must bring: "pdf", "strata", "control", "techniques", "nodes", a problem's name, or "".
+    adaptive : bool
+        Whether a sampler looks at values before it places the next point.
+    """
+
+    name: str
+    target: str
+    summary: str
+    options: dict[str, Any] = field(default_factory=dict)
+    exact: str = "nothing"
+    linear: bool = True
+    dims: str = "any"
+    needs: str = ""
+    adaptive: bool = False
+
+    def load(self) -> Callable[..., Any]:
+        """The class or factory behind the entry."""
+        module, attribute = self.target.split(":")
+        target: Callable[..., Any] = getattr(import_module(module), attribute)
+        return target
+
+
+_SAMPLERS = "nqr_geom.integrator.samplers:"
+_RULES = "nqr_geom.integrator.rules:"
+
+_TABLE: dict[str, tuple[Entry, ...]] = {
+    "sampler": (
+        Entry("random", _SAMPLERS + "Random", "independent uniform points"),
+        Entry("stratified", _SAMPLERS + "Stratified", "one uniform point in each of n equal cells"),
+        Entry("grid", _SAMPLERS + "Grid", "centres of n equal cells"),
+        Entry("gauss-legendre", _SAMPLERS + "GaussLegendreNodes", "nodes of the Gauss-Legendre rule"),
+        Entry("sobol", _SAMPLERS + "Sobol", "Sobol' points, Owen-scrambled"),
+        Entry("latin-hypercube", _SAMPLERS + "LatinHypercube", "every axis cut into n strata, each hit once"),
+        Entry("pmj", _SAMPLERS + "Pmj", "progressive multi-jittered (0,2) points in pairs of axes"),
+        Entry(
+            "bayesian-quadrature",
+            _SAMPLERS + "BayesianDesign",
+            "next point where a Gaussian process is least certain",
+            dims="1",
+        ),
+    ),
+    "rule": (
+        Entry("mc", _RULES + "MonteCarlo", "mean of f/pdf", exact="constants", needs="pdf"),
+        Entry(
+            "trapezoid",
+            _RULES + "Trapezoid",
+            "interval lengths; the same as the rectangle rule",
+            exact="constants",
+            dims="1",
+        ),
+        Entry("rectangle", _RULES + "Trapezoid", "the trapezoid's other name", exact="constants", dims="1"),
+        Entry(
+            "simpson",
+            _RULES + "Simpson",
+            "parabolas over pairs of similar steps",
+            exact="constants",
+            dims="1",
+        ),
+        Entry(
+            "gauss-legendre",
+            _RULES + "GaussLegendre",
+            "Gauss-Legendre weights for their nodes",
+            exact="degree 2N-1",
+            needs="nodes",
+        ),
+        *(
+            Entry(
+                f"regression-{degree}",
+                _RULES + "Regression",
+                f"least-squares polynomial of degree {degree} as control variate",
+                options={"degree": degree},
+                exact=f"degree {degree}",
+                needs="pdf",
+            )
+            for degree in (1, 3, 5)
+        ),
+        Entry("bayesian-quadrature", _RULES + "BayesianQuadrature", "posterior mean under a Gaussian process"),
+        Entry(
+            "stratification",
+            _RULES + "Stratification",
+            "strata by their volume",
+            exact="constants",
+            needs="strata",
+        ),
+        Entry(
+            "difference-cv",
+            _RULES + "DifferenceControlVariate",
+            "exact integral of h plus mean of f - h",
+            exact="control",
+            needs="control",
+        ),
+        Entry(
+            "ratio-cv",
+            _RULES + "RatioControlVariate",
+            "mean of f over mean of h, times the integral of h",
+            exact="control",
+            needs="control",
+        ),
+        Entry(
+            "balance-heuristic",
+            _RULES + "BalanceHeuristic",
+            "multiple importance sampling",
+            needs="techniques",
+        ),
+    ),
+    "problem": (),
+    "model": (),
+}
+
+# A method is "sampler+rule"; these are the short names. "structured" and the learned ones depend on the problem.
+ALIASES: dict[str, str] = {
+    "mc": "random+mc",
+    "stratified": "stratified+mc",
+    "trapezoid": "stratified+trapezoid",
+    "simpson": "grid+simpson",
+    "gauss-legendre": "gauss-legendre+gauss-legendre",
+    "bayesian-quadrature": "bayesian-quadrature+bayesian-quadrature",
+    "mis": "pmj+balance-heuristic",
+}
+
+
+def entries(kind: str) -> tuple[Entry, ...]:
+    """All entries of a kind: "sampler", "rule", "problem" or "model".
+
+    Examples
+    --------
+    >>> [entry.name for entry in entries("sampler")][:2]
+    ['random', 'stratified']
+    """
+    if kind not in _TABLE:
+        raise ValueError(f"kind: expected one of {', '.join(_TABLE)}, got {kind!r}")
+    return _TABLE[kind]
+
+
+def entry(kind: str, name: str) -> Entry:
+    """The entry called `name`, or an error that lists what there is.
+
+    Examples
+    --------
+    >>> entry("rule", "simpson").dims
+    '1'
+    """
+    for candidate in entries(kind):
+        if candidate.name == name:
+            return candidate
+    raise ValueError(f"{kind}: expected one of {', '.join(e.name for e in entries(kind))}, got {name!r}")
+
+
+def make(kind: str, name: str) -> Any:
+    """Build the sampler, rule or model called `name`.
+
+    Examples
+    --------
+    >>> make("rule", "regression-3").degree
+    3
+    """
+    found = entry(kind, name)
+    return found.load()(**found.options)
+
+
+def method(name: str, problem: str = "") -> tuple[str, str]:
+    """Sampler and rule names of a method: an alias, or "sampler+rule".
+
+    Parameters
+    ----------
+    name : str
+        "mc", "structured", "sobol+regression-3", ...
+    problem : str
+        Name of the problem; some aliases depend on it.
+
+    Examples
+    --------
+    >>> method("trapezoid")
+    ('stratified', 'trapezoid')
+    """
+    full = ALIASES.get(f"{problem}:{name}", ALIASES.get(name, name))
+    sampler, plus, rule = full.partition("+")
+    if not plus:
+        aliases = [a.split(":")[-1] for a in ALIASES if ":" not in a or a.split(":")[0] == problem]
+        raise ValueError(f"method: expected one of {', '.join(aliases)} or 'sampler+rule', got {name!r}")
+    entry("sampler", sampler)
+    entry("rule", rule)
+    return sampler, rule
