@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
 
-__all__ = ["PointQueries"]
+__all__ = ["PointQueries", "affine_map"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -71,9 +71,7 @@ class PointQueries:
         part.first, part.count = self.first + start, stop - start
         return part
 
-    def mapped(
-        self, points: Callable[[Floats], Floats], tangents: Callable[[Floats], Floats]
-    ) -> PointQueries:
+    def mapped(self, points: Callable[[Floats], Floats], tangents: Callable[[Floats], Floats]) -> PointQueries:
         """The image under a map of points, with its linear part for tangents."""
         x, derivative = self.x, self.given_derivative
 
@@ -135,3 +133,16 @@ def _answer(name: str, function: Any, s: Floats) -> Floats:
     if len(result) != len(s):
         raise ValueError(f"{name}(s): expected shape ({len(s)}, 2), got {result.shape}")
     return result
+
+
+def affine_map(matrix: ArrayLike, shift: ArrayLike) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """The map x -> matrix x + shift of points (..., 2)."""
+    m = check.array("matrix", matrix, (2, 2))
+    v = check.array("shift", shift, (2,))
+
+    def apply(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y = points[..., 0], points[..., 1]
+        # Not a matrix product: equal points must have bitwise equal images, wherever they stand in the array.
+        return np.stack([m[0, 0] * x + m[0, 1] * y + v[0], m[1, 0] * x + m[1, 1] * y + v[1]], axis=-1)
+
+    return apply

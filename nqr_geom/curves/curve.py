@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
-from nqr_geom.curves import bezier
-from nqr_geom.curves.black_box import PointQueries
+from nqr_geom.curves import bezier, parameter
+from nqr_geom.curves.black_box import PointQueries, affine_map
+from nqr_geom.curves.constructors import Constructors
 
 __all__ = ["BlackBoxCurve", "Curve"]
 
-_LARGEST = 1e300  # beyond this, differences of control points could overflow
 _MOST_SEGMENTS = 50_000_000
 
 
-class Curve:
+class Curve(Constructors):
     """Lines, quadratic and cubic Bezier pieces in the plane, open or closed, connected or not. Immutable.
 
-    Most users call a constructor: `polyline`, `bezier`, `from_callable`.
+    Most users call a constructor: `polyline`, `bezier`, `from_svg`, `from_shapely`, `from_text`, `from_callable`.
 
     The parameter s in [0, 1] is spread evenly over the k pieces: s lies in piece ``min(floor(s k), k - 1)`` at
     the local parameter ``t = s k - piece``, so s = 1 is the end of the last piece. A value of s k within
@@ -53,109 +52,7 @@ class Curve:
            [0. , 0. ]])
     """
 
-    control: NDArray[np.float64]
-    degree: NDArray[np.int64]
-    n_pieces: int
     derivative_queries = 0  # point queries that one tangent costs: the pieces are known here
-
-    def __init__(self, control: ArrayLike, degree: ArrayLike) -> None:
-        points = check.array("control", control, ("k", 4, 2)) + 0.0  # a copy; -0.0 becomes 0.0
-        degrees = np.asarray(degree)
-        if degrees.size == 0:
-            degrees = degrees.astype(np.int64)
-        if degrees.shape != points.shape[:1] or not np.issubdtype(degrees.dtype, np.integer):
-            raise ValueError(
-                f"degree: expected {len(points)} integers, one a piece, "
-                f"got shape {degrees.shape} and dtype {degrees.dtype}"
-            )
-        if not np.isin(degrees, (1, 2, 3)).all():
-            raise ValueError(
-                f"degree: expected 1, 2 or 3, got {sorted(set(degrees.tolist()) - {1, 2, 3})[0]}"
-            )
-        if np.abs(points).max(initial=0.0) > _LARGEST:
-            raise ValueError(
-                f"control: expected coordinates up to {_LARGEST:g} in size, got {np.abs(points).max():g}"
-            )
-        rows = np.minimum(np.arange(4), degrees[:, None])
-        points = np.take_along_axis(points, rows[:, :, None], axis=1)
-        self._freeze(control=points, degree=degrees.astype(np.int64), n_pieces=len(points))
-
-    def _freeze(self, **fields: Any) -> None:
-        for name, value in fields.items():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-            self.__dict__[name] = value
-
-    def __setattr__(self, name: str, value: Any) -> NoReturn:
-        raise AttributeError(f"{name}: a curve is immutable; make a new one")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (Curve, (self.control, self.degree))
-
-    # --- constructors ------------------------------------------------------------------------------------
-
-    @classmethod
-    def polyline(cls, points: ArrayLike, closed: bool = False) -> Curve:
-        """Straight pieces through the points.
-
-        Parameters
-        ----------
-        points : (n, 2) array_like
-            Vertices. None gives the empty curve, one a piece of length zero.
-        closed : bool
-            Return to the first point, unless the last one is the first already.
-
-        Returns
-        -------
-        Curve
-            n - 1 pieces, n if an edge was added.
-
-        Examples
-        --------
-        >>> Curve.polyline([[0, 0], [3, 4]]).length
-        5.0
-        """
-        array = np.asarray(points)
-        vertices = check.array("points", array.reshape(0, 2) if array.size == 0 else array, ("n", 2))
-        if len(vertices) == 1 or (closed and len(vertices) and (vertices[0] != vertices[-1]).any()):
-            vertices = np.concatenate([vertices, vertices[:1]])
-        pairs = np.stack([vertices[:-1], vertices[1:]], axis=1)
-        return cls._of(pairs)
-
-    @classmethod
-    def bezier(cls, control_points: ArrayLike) -> Curve:
-        """Bezier pieces of one degree.
-
-        Parameters
-        ----------
-        control_points : (k, degree + 1, 2) array_like
-            Degree 1, 2 or 3. Consecutive pieces are connected where the end of one equals the start of the
-            next.
-
-        Returns
-        -------
-        Curve
-            k pieces.
-
-        Examples
-        --------
-        >>> arch = Curve.bezier([[[0, 0], [1, 2], [2, 0]]])
-        >>> arch.bounds
-        (0.0, 0.0, 2.0, 1.0)
-        """
-        points = check.array("control_points", control_points, ("k", "degree + 1", 2))
-        if points.shape[1] not in (2, 3, 4):
-            raise ValueError(
-                f"control_points: expected 2, 3 or 4 points a piece (degree 1, 2 or 3), got {points.shape[1]}"
-            )
-        return cls._of(points)
-
-    @classmethod
-    def _of(cls, points: NDArray[np.float64]) -> Curve:
-        """Pieces (k, degree + 1, 2) of one degree."""
-        degree = points.shape[1] - 1
-        rows = np.minimum(np.arange(4), degree)
-        return Curve(points[:, rows], np.full(len(points), degree))
 
     @staticmethod
     def from_callable(
@@ -191,9 +88,7 @@ class Curve:
 
     # --- the parameter -----------------------------------------------------------------------------------
 
-    def locate(
-        self, s: ArrayLike, piece: ArrayLike | None = None
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def locate(self, s: ArrayLike, piece: ArrayLike | None = None) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Piece and local parameter of s.
 
         Parameters
@@ -220,38 +115,7 @@ class Curve:
         >>> bend.locate([0.25, 0.5]), bend.locate(0.5, piece=0)
         ((array([0, 1]), array([0.5, 0. ])), (array(0), array(1.)))
         """
-        parameter = np.asarray(s)
-        shape = parameter.shape
-        parameter = check.array("s", parameter.ravel(), ("m",)).reshape(shape)
-        k = self.n_pieces
-        if parameter.size and (parameter.min() < 0.0 or parameter.max() > 1.0):
-            bad = parameter[(parameter < 0.0) | (parameter > 1.0)].flat[0]
-            raise ValueError(f"s: expected numbers in [0, 1], got {bad}")
-        if k == 0 and parameter.size:
-            raise ValueError("s: expected none, because the curve is empty")
-        u = parameter * k
-        # s = j/k and the product are rounded once each, so u may fall one step short of j.
-        joint = np.rint(u)
-        u = np.where(np.abs(u - joint) <= 2.0**-52 * joint, joint, u)
-        index = np.minimum(u.astype(np.int64), k - 1) if piece is None else self._explicit_piece(piece, u)
-        return np.asarray(index), np.asarray(np.clip(u - index, 0.0, 1.0))
-
-    def _explicit_piece(self, piece: ArrayLike, u: NDArray[np.float64]) -> NDArray[np.int64]:
-        index = np.asarray(piece)
-        if not np.issubdtype(index.dtype, np.integer):
-            raise TypeError(f"piece: expected integers, got dtype {index.dtype}")
-        try:
-            index = np.broadcast_to(index, u.shape).astype(np.int64)
-        except ValueError as error:
-            raise ValueError(f"piece: expected the shape of s {u.shape}, got {index.shape}") from error
-        wrong = (index < 0) | (index >= self.n_pieces) | (u < index) | (u > index + 1)
-        if wrong.any():
-            where = np.flatnonzero(wrong)[0]
-            raise ValueError(
-                f"piece: expected the piece that holds s, got {index.flat[where]} for s k = {u.flat[where]} "
-                f"of {self.n_pieces} pieces"
-            )
-        return index
+        return parameter.locate(s, piece, self.n_pieces)
 
     def piece(self, s: ArrayLike) -> NDArray[np.int64]:
         """Index of the piece each s lies in: int64, of s's shape, in 0 .. n_pieces - 1."""
@@ -297,62 +161,13 @@ class Curve:
 
     # --- what the pieces tell ----------------------------------------------------------------------------
 
-    @cached_property
-    def coefficients(self) -> NDArray[np.float64]:
-        """Power basis (k, 4, 2): x(t) = c0 + c1 t + c2 t^2 + c3 t^3 on each piece, t in [0, 1]."""
-        result = bezier.coefficients(self.control, self.degree)
-        result.setflags(write=False)
-        return result
-
-    @cached_property
-    def chain(self) -> NDArray[np.int64]:
-        """Chain of each piece (k,): it goes on while the end of one piece is the start of the next."""
-        broken = (self.control[:-1, 3] != self.control[1:, 0]).any(axis=1)
-        result = np.concatenate([np.zeros(min(self.n_pieces, 1), dtype=np.int64), np.cumsum(broken)])
-        result.setflags(write=False)
-        return result
-
-    @cached_property
-    def is_closed(self) -> bool:
-        """Whether every chain ends where it starts."""
-        first = np.flatnonzero(np.diff(self.chain, prepend=-1))
-        last = np.append(first[1:], self.n_pieces)[: len(first)] - 1
-        return bool((self.control[first, 0] == self.control[last, 3]).all())
-
-    @cached_property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Tight box (xmin, ymin, xmax, ymax) of the curve itself, not of its control points."""
-        if self.n_pieces == 0:
-            raise ValueError("bounds: expected a curve with at least one piece, got an empty one")
-        box = bezier.boxes(self.control, self.degree)
-        low, high = box[:, :2].min(axis=0), box[:, 2:].max(axis=0)
-        return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-
-    @cached_property
-    def length(self) -> float:
-        """Arc length: exact for lines up to rounding, to about 1e-12 relative for the other pieces."""
-        return float(bezier.lengths(self.control, self.degree).sum())
-
-    def __len__(self) -> int:
-        return self.n_pieces
-
-    def __repr__(self) -> str:
-        chains = int(self.chain[-1]) + 1 if self.n_pieces else 0
-        state = "closed" if self.is_closed else "open"
-        return (
-            f"{type(self).__name__}({self.n_pieces} piece{'s' * (self.n_pieces != 1)} "
-            f"in {chains} chain{'s' * (chains != 1)}, {state})"
-        )
-
     # --- new curves from old -----------------------------------------------------------------------------
 
     def __add__(self, other: Curve) -> Curve:
         """The union: the pieces of both, in order."""
         if not isinstance(other, Curve):
             return NotImplemented
-        return Curve(
-            np.concatenate([self.control, other.control]), np.concatenate([self.degree, other.degree])
-        )
+        return Curve(np.concatenate([self.control, other.control]), np.concatenate([self.degree, other.degree]))
 
     def reversed(self) -> Curve:
         """The same points the other way round: ``reversed().sample(s)`` is ``sample(1 - s)`` up to rounding."""
@@ -373,7 +188,7 @@ class Curve:
         >>> Curve.polyline([[0, 0], [1, 0]]).transformed([[0, -1], [1, 0]], (5, 0)).sample(1.0)
         array([5., 1.])
         """
-        return Curve(_affine(self.control, matrix, shift), self.degree)
+        return Curve(affine_map(matrix, shift)(self.control), self.degree)
 
     def to_polyline(self, tol: float) -> Curve:
         """Straight pieces that stay within `tol` of the curve, and the curve of them.
@@ -471,9 +286,7 @@ class BlackBoxCurve(Curve):
 
     def transformed(self, matrix: ArrayLike, shift: ArrayLike = (0.0, 0.0)) -> BlackBoxCurve:
         """The image under x -> matrix x + shift, again a black box."""
-        return BlackBoxCurve(
-            self._queries.mapped(_affine_map(matrix, shift), _affine_map(matrix, (0.0, 0.0)))
-        )
+        return BlackBoxCurve(self._queries.mapped(affine_map(matrix, shift), affine_map(matrix, (0.0, 0.0))))
 
     def _part(self, start: int, stop: int) -> BlackBoxCurve:
         return BlackBoxCurve(self._queries.window(start, stop))
@@ -483,21 +296,16 @@ class BlackBoxCurve(Curve):
 
 
 _NEEDS_PIECES = frozenset(
-    ("control", "degree", "coefficients", "chain", "is_closed", "bounds", "length", "to_polyline", "reversed")
+    (
+        "control",
+        "degree",
+        "coefficients",
+        "chain",
+        "is_closed",
+        "piece_bounds",
+        "bounds",
+        "length",
+        "to_polyline",
+        "reversed",
+    )
 )
-
-
-def _affine_map(matrix: ArrayLike, shift: ArrayLike) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    m = check.array("matrix", matrix, (2, 2))
-    v = check.array("shift", shift, (2,))
-
-    def apply(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, y = points[..., 0], points[..., 1]
-        # Not a matrix product: equal points must have bitwise equal images, wherever they stand in the array.
-        return np.stack([m[0, 0] * x + m[0, 1] * y + v[0], m[1, 0] * x + m[1, 1] * y + v[1]], axis=-1)
-
-    return apply
-
-
-def _affine(points: NDArray[np.float64], matrix: ArrayLike, shift: ArrayLike) -> NDArray[np.float64]:
-    return _affine_map(matrix, shift)(points)
