@@ -139,7 +139,9 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="techniques",
         ),
     ),
-    "problem": (),
+    "problem": (
+        Entry("toy", "nqr_geom.toy.problem:ToyProblem", "piecewise smooth functions with hidden breaks", dims="1"),
+    ),
     "model": (),
 }
 

@@ -1,0 +1,199 @@
+"""Integrands of five smooth pieces, each linear, quadratic or trigonometric, joined at random breaks (Fig. 37).
+
+The paper leaves the constants open. These make its baseline rows come out (Tables 1, 2 and 6, at 32 samples):
+`benchmarks/toy_calibration.py` prints both side by side.
+
+All three kinds of piece solve f'' + alpha f = const, with alpha = omega^2 for A sin(omega x + phi) + c and alpha = 0
+for a polynomial. So a piece is its value, slope and second derivative at its start together with alpha, and value,
+derivative and integral are one formula in Stumpff functions for all kinds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from nqr_geom.streams import Stream
+
+__all__ = ["PIECES", "Pieces", "Shape", "draw", "stumpff"]
+
+PIECES = 5
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The open constants of the family.
+
+    Parameters
+    ----------
+    shortest : float
+        Least length of a piece; otherwise the breaks are uniform.
+    linear, quadratic : float
+        Probability that a piece is linear or quadratic; the rest are trigonometric.
+    level, level_spread : float
+        Each integrand has a level, uniform in level +- level_spread.
+    band : float
+        A polynomial piece ends at the level plus a uniform number in +- band.
+    jump : float
+        Root mean square of the (uniform) jump at a break.
+    bulge : float
+        A quadratic piece leaves its chord by a uniform number in +- bulge.
+    frequency, amplitude : pair of float
+        Ranges of omega and A of a trigonometric piece, both uniform.
+    """
+
+    shortest: float = 0.03
+    linear: float = 1.0 / 3.0
+    quadratic: float = 1.0 / 3.0
+    level: float = 1.8
+    level_spread: float = 0.5
+    band: float = 1.0
+    jump: float = 0.6
+    bulge: float = 1.0
+    frequency: tuple[float, float] = (20.0, 80.0)
+    amplitude: tuple[float, float] = (0.7, 1.5)
+
+
+def stumpff(alpha: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Stumpff functions c_k(alpha t^2) = sum_j (-alpha t^2)^j / (k + 2j)! for k = 0..3, with alpha >= 0.
+
+    f(t) = f(0) + f'(0) t c1 + f''(0) t^2 c2 solves f'' + alpha f = const; its derivative is f'(0) c0 + f''(0) t c1, its
+    integral from 0 is f(0) t + f'(0) t^2 c2 + f''(0) t^3 c3.
+
+    Examples
+    --------
+    >>> one = torch.tensor(1.0, dtype=torch.float64)
+    >>> [round(c.item(), 4) for c in stumpff(0 * one, one)]
+    [1.0, 1.0, 0.5, 0.1667]
+    """
+    half = 0.5 * alpha.sqrt() * t
+    sine, cosine = half.sin(), half.cos()
+    small = half.abs() < 0.02
+    safe = torch.where(small, 1.0, half)
+    z = 4.0 * half * half
+    sinc = torch.where(small, 1.0 - z / 24.0 * (1.0 - z / 80.0), sine / safe)
+    c1 = sinc * cosine
+    # (1 - c1) / z cancels for small z, where three terms of the series are exact to rounding.
+    c3 = torch.where(small, 1.0 / 6.0 - z / 120.0 * (1.0 - z / 42.0), (1.0 - c1) / (4.0 * safe * safe))
+    return cosine * cosine - sine * sine, c1, 0.5 * sinc * sinc, c3
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """B integrands in pieces.
+
+    Parameters
+    ----------
+    edges : Tensor, (B, 6), float64
+        Ends of the pieces, rising from 0 to 1.
+    value, slope, curvature : Tensor, (B, 5)
+        f, f' and f'' at the left end of each piece.
+    alpha : Tensor, (B, 5)
+        omega^2 of a trigonometric piece, 0 of a polynomial one.
+    """
+
+    edges: Tensor
+    value: Tensor
+    slope: Tensor
+    curvature: Tensor
+    alpha: Tensor
+
+    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """f, f' and the piece index (int64) at x (B, N); a break belongs to the piece on its right."""
+        piece = torch.searchsorted(self.edges[:, 1:-1].contiguous(), x.contiguous(), right=True)
+        t = x - self.edges.gather(1, piece)
+        value, slope, curvature, alpha = (
+            tensor.gather(1, piece) for tensor in (self.value, self.slope, self.curvature, self.alpha)
+        )
+        c0, c1, c2, _ = stumpff(alpha, t)
+        return value + t * (slope * c1 + t * curvature * c2), slope * c0 + t * curvature * c1, piece
+
+    def integral(self) -> Tensor:
+        """Exact integral over [0, 1], (B,)."""
+        t = self.edges.diff(dim=1)
+        _, _, c2, c3 = stumpff(self.alpha, t)
+        return (t * (self.value + t * (self.slope * c2 + t * self.curvature * c3))).sum(dim=1)
+
+    def jumps(self) -> Tensor:
+        """Right minus left limit at each break, (B, 4)."""
+        t = self.edges.diff(dim=1)
+        _, c1, c2, _ = stumpff(self.alpha, t)
+        end = self.value + t * (self.slope * c1 + t * self.curvature * c2)
+        return self.value[:, 1:] - end[:, :-1]
+
+    def take(self, index: slice | Tensor) -> Pieces:
+        """The integrands `index`."""
+        return Pieces(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+def _breaks(u: Tensor, shortest: float) -> Tensor:
+    """Edges (B, 6) from uniform numbers (B, 4): ordered uniform breaks with room of `shortest` between them."""
+    inner = u.sort(dim=1).values * (1.0 - PIECES * shortest)
+    inner = inner + shortest * torch.arange(1, PIECES, device=u.device)
+    return torch.cat([torch.zeros_like(u[:, :1]), inner, torch.ones_like(u[:, :1])], dim=1)
+
+
+def draw(rows: Tensor, stream: Stream, shape: Shape | None = None) -> Pieces:
+    """Random integrands, each a function of its global row alone.
+
+    A piece begins where the last one ended, plus a jump. A linear piece runs to a random value near the integrand's
+    level, a quadratic one does so with a bulge, and a trigonometric one swings around that level.
+
+    Parameters
+    ----------
+    rows : Tensor, (B,), int64
+        Global indices of the integrands.
+    stream : Stream
+        Source of the random numbers.
+    shape : Shape, optional
+        Constants of the family; by default the calibrated ones.
+
+    Returns
+    -------
+    Pieces
+
+    References
+    ----------
+    Fig. 37 and Appendix A.1 of the paper.
+
+    Examples
+    --------
+    >>> pieces = draw(torch.arange(3), Stream(0, "test", "toy"))
+    >>> pieces.edges.shape, bool((pieces.edges.diff(dim=1) > 0).all())
+    (torch.Size([3, 6]), True)
+    """
+    shape = shape or Shape()
+    per_piece = 6
+    u = stream.uniform(rows[:, None], torch.arange(PIECES + 1 + per_piece * PIECES, device=rows.device))
+    signed = 2.0 * u - 1.0
+    edges = _breaks(u[:, : PIECES - 1], shape.shortest)
+    lengths = edges.diff(dim=1)
+    level = shape.level + shape.level_spread * signed[:, PIECES - 1]
+    end = level + shape.band * signed[:, PIECES]
+    columns = []
+    for k in range(PIECES):
+        at = PIECES + 1 + per_piece * k
+        kind, target, bulge, frequency, amplitude, jump = range(at, at + per_piece)
+        start = end + (math.sqrt(3.0) * shape.jump) * signed[:, jump] if k else end
+        length = lengths[:, k]
+        target_value = level + shape.band * signed[:, target]
+        chord = (target_value - start) / length
+        # A parabola that leaves its chord by h in the middle has slope 4h/l at its start and f'' = -8h/l^2.
+        lift = torch.where(u[:, kind] < shape.linear, 0.0, 4.0 * shape.bulge * signed[:, bulge] / length)
+        omega = shape.frequency[0] + (shape.frequency[1] - shape.frequency[0]) * u[:, frequency]
+        size = shape.amplitude[0] + (shape.amplitude[1] - shape.amplitude[0]) * u[:, amplitude]
+        # The wave is centred on the level unless it must move to meet its start.
+        height = torch.maximum(torch.minimum(start - level, 0.95 * size), -0.95 * size)
+        rise = torch.where(u[:, bulge] < 0.5, -1.0, 1.0) * (size * size - height * height).sqrt()
+        wave = u[:, kind] >= shape.linear + shape.quadratic
+        alpha = torch.where(wave, omega * omega, 0.0)
+        slope = torch.where(wave, omega * rise, chord + lift)
+        curvature = torch.where(wave, -omega * omega * height, -2.0 * lift / length)
+        columns.append(torch.stack([start, slope, curvature, alpha], dim=1))
+        phase = omega * length
+        end = torch.where(wave, start - height + height * phase.cos() + rise * phase.sin(), target_value)
+    value, slope, curvature, alpha = torch.stack(columns, dim=2).unbind(dim=1)
+    return Pieces(edges, value, slope, curvature, alpha)
