@@ -110,7 +110,7 @@ def impossible() -> Curve:
     result = Curve.polyline([])
     for _ in range(3):
         u, v = (beam - hole / 3.0).T  # triangular lattice: u along x, v at 60 degrees
-        result = result + Curve.polyline(0.25 * np.stack([u + 0.5 * v, math.sqrt(0.75) * v], axis=1), closed=True)
+        result = result + Curve.polyline(0.22 * np.stack([u + 0.5 * v, math.sqrt(0.75) * v], axis=1), closed=True)
         beam = np.stack([hole - beam.sum(axis=1), beam[:, 0]], axis=1)  # a third of a turn, exact on the lattice
     return result
 

@@ -51,9 +51,7 @@ def _lines(geometry: Any) -> list[Any]:
         return [] if turned.is_empty else [turned.exterior, *turned.interiors]
     if isinstance(geometry, shapely.LineString):  # LinearRing is one
         return [geometry]
-    if isinstance(geometry, (shapely.MultiLineString, shapely.MultiPolygon, shapely.GeometryCollection)) and not (
-        isinstance(geometry, shapely.MultiPoint)
-    ):
+    if isinstance(geometry, (shapely.MultiLineString, shapely.MultiPolygon, shapely.GeometryCollection)):
         return [line for part in geometry.geoms for line in _lines(part)]
     raise ValueError(
         "geometry: expected (Multi)LineString, LinearRing, (Multi)Polygon or a collection of them, "
@@ -73,16 +71,7 @@ def read_text(text: str, font: str | os.PathLike[str] | None = None, size: float
     if not isinstance(text, str):
         raise TypeError(f"text: expected a string, got {type(text).__name__}")
     size = check.number("size", size, low=0.0, open_low=True)
-    with _open_font(font) as face:
-        try:
-            glyphs, names, em = face.getGlyphSet(), face.getBestCmap() or {}, face["head"].unitsPerEm
-            for character in text:
-                if ord(character) not in names:
-                    raise ValueError(f"text: expected characters of the font, got {character!r} which it lacks")
-            line = [glyphs[names[ord(character)]] for character in text]
-            outlines = [(_outline(glyph, glyphs), glyph.width) for glyph in line]
-        except _BROKEN_FONT as error:
-            raise ValueError(f"font: expected a sound font file, got one that breaks at {error!r}") from error
+    outlines, em = _read_glyphs(text, _font_path(font))
     pieces: list[Floats] = []
     pen_x = 0.0
     for outline, width in outlines:
@@ -91,24 +80,36 @@ def read_text(text: str, font: str | os.PathLike[str] | None = None, size: float
     return pack(pieces)
 
 
-# What fontTools lets through when a table is cut short, missing or inconsistent.
+def _font_path(font: str | os.PathLike[str] | None) -> str | os.PathLike[str]:
+    if font is None:
+        matplotlib = check.require("matplotlib", "plot", "text without an explicit font")
+        return os.path.join(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+    if not isinstance(font, (str, os.PathLike)):
+        raise TypeError(f"font: expected the path of a font file, got {type(font).__name__}")
+    return font
+
+
+# What fontTools lets through where a table is cut short, missing or inconsistent.
 _BROKEN_FONT = (AssertionError, AttributeError, EOFError, IndexError, KeyError, TypeError, struct.error, zlib.error)
 
 
-def _open_font(font: str | os.PathLike[str] | None) -> Any:
+def _read_glyphs(text: str, font: str | os.PathLike[str]) -> tuple[list[tuple[list[Floats], float]], int]:
+    """Outline and advance width of every character in font units, and the units of the em square."""
     from fontTools.ttLib import TTFont, TTLibError
 
-    if font is None:
-        matplotlib = check.require("matplotlib", "plot", "text without an explicit font")
-        font = os.path.join(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
-    if not isinstance(font, (str, os.PathLike)):
-        raise TypeError(f"font: expected the path of a font file, got {type(font).__name__}")
     try:
-        return TTFont(font, fontNumber=0, lazy=True)
+        with open(font, "rb") as file:
+            face = TTFont(file, fontNumber=0, lazy=True)
+            glyphs, names = face.getGlyphSet(), face.getBestCmap() or {}
+            missing = next((character for character in text if ord(character) not in names), None)
+            if missing is not None:
+                raise ValueError(f"text: expected characters of the font, got {missing!r} which it lacks")
+            line = [glyphs[names[ord(character)]] for character in text]
+            return [(_outline(glyph, glyphs), glyph.width) for glyph in line], face["head"].unitsPerEm
     except OSError as error:
         raise ValueError(f"font: expected an existing font file, got {os.fspath(font)!r}: {error}") from error
-    except TTLibError as error:
-        raise ValueError(f"font: expected a TrueType or OpenType font, got {os.fspath(font)!r}: {error}") from error
+    except (TTLibError, *_BROKEN_FONT) as error:
+        raise ValueError(f"font: expected a sound TrueType or OpenType font, got {font!r}: {error!r}") from error
 
 
 def _outline(glyph: Any, glyphs: Any) -> list[Floats]:

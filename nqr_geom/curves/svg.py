@@ -190,7 +190,8 @@ def _check_elements(path: str, root: ElementTree.Element) -> None:
             return ValueError(f"path_or_d: expected {expected} in {key} of {label}, got {got!r} in {path!r}")
 
         if tag == "path":
-            check_path_data(f"path_or_d: d of {label} in {path!r}", element.get("d", ""))
+            d = element.attrib.setdefault("d", "")  # svgelements stumbles over a path without any
+            check_path_data(f"path_or_d: d of {label} in {path!r}", d)
         if tag in ("polyline", "polygon") and not _POINTS.fullmatch(element.get("points", "")):
             raise refuse("points", "pairs of numbers", element.get("points", ""))
         for key in _LENGTHS.get(tag, ()):
