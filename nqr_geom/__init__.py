@@ -30,7 +30,25 @@ _PUBLIC = {
     "signed_distance": "nqr_geom.api",
 }
 
-__all__ = [*_PUBLIC, "__version__"]
+__all__ = [
+    "Curve",
+    "__version__",
+    "closest_point",
+    "datasets",
+    "distance",
+    "distance_gradient",
+    "frontier",
+    "gwn",
+    "gwn_gradient",
+    "integrate",
+    "models",
+    "problems",
+    "rules",
+    "samplers",
+    "sd",
+    "sd_gradient",
+    "signed_distance",
+]
 
 if TYPE_CHECKING:
     from nqr_geom import datasets, problems

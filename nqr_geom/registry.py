@@ -23,7 +23,8 @@ class Entry:
     name, summary : str
         What a user types, and one line of explanation.
     target : str
-        "module:attribute" of the class or factory.
+        "module:attribute" of the class or factory. A problem's class has ``family(n, seed=, split=)``: its random
+        family with n shapes.
     options : dict
         Keyword arguments that make this entry of its class.
     exact : str
@@ -34,7 +35,8 @@ class Entry:
     dims : str
         "any" or "1".
     needs : str
-        What samples must bring: "pdf", "strata", "control", "techniques", "nodes", a problem's name, or "".
+        What samples must bring: "pdf", "strata", "control", "techniques", "nodes", the name of the only problem that
+        brings it, "curves" for either problem on curves, or "".
     adaptive : bool
         Whether a sampler looks at values before it places the next point.
     """
@@ -58,6 +60,7 @@ class Entry:
 
 _SAMPLERS = "nqr_geom.integrator.samplers:"
 _RULES = "nqr_geom.integrator.rules:"
+_CURVES = "nqr_geom.curves."
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (
@@ -73,6 +76,14 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             _SAMPLERS + "BayesianDesign",
             "next point where a Gaussian process is least certain",
             dims="1",
+        ),
+        Entry(
+            "curve-refine",
+            _CURVES + "structured:CurveRefine",
+            "piece ends and middles, then the gap that matters most to the query",
+            dims="1",
+            needs="curves",
+            adaptive=True,
         ),
     ),
     "rule": (
@@ -138,15 +149,37 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             "multiple importance sampling",
             needs="techniques",
         ),
+        Entry(
+            "gwn-hermite",
+            _CURVES + "structured:GwnHermite",
+            "exact winding number of the curve rebuilt by Hermite cubics",
+            exact="quadratic pieces",
+            linear=False,
+            dims="1",
+            needs="gwn",
+        ),
+        Entry(
+            "sd-hermite",
+            _CURVES + "structured:SdHermite",
+            "smoothed distance of the curve rebuilt by Hermite cubics",
+            exact="quadratic pieces",
+            linear=False,
+            dims="1",
+            needs="sd",
+        ),
     ),
     "problem": (
         Entry("toy", "nqr_geom.toy.problem:ToyProblem", "piecewise smooth functions with hidden breaks", dims="1"),
+        Entry("gwn", _CURVES + "problems:GwnProblem", "generalised winding number of a curve", dims="1"),
+        Entry("sd", _CURVES + "problems:SdProblem", "smoothed distance to a curve", dims="1"),
     ),
     "model": (),
 }
 
 # A method is "sampler+rule"; these are the short names. "structured" and the learned ones depend on the problem.
 ALIASES: dict[str, str] = {
+    "gwn:structured": "curve-refine+gwn-hermite",
+    "sd:structured": "curve-refine+sd-hermite",
     "mc": "random+mc",
     "stratified": "stratified+mc",
     "trapezoid": "stratified+trapezoid",

@@ -6,7 +6,7 @@ Shape words, here and everywhere in the integrator: B integrals, N samples, D di
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -82,6 +82,22 @@ class Observation:
     control: tuple[Tensor, Tensor] | None = None
     technique_pdf: Tensor | None = None
     queries: int = 0
+
+    @staticmethod
+    def join(parts: Sequence[Observation]) -> Observation:
+        """Observations of the same integrals at more points, one after the other along N."""
+        first = parts[0]
+        control = None
+        if first.control is not None:
+            control = (torch.cat([p.control[0] for p in parts if p.control is not None], dim=1), first.control[1])
+        densities = [p.technique_pdf for p in parts if p.technique_pdf is not None]
+        return Observation(
+            value=torch.cat([p.value for p in parts], dim=1),
+            features={name: torch.cat([p.features[name] for p in parts], dim=1) for name in first.features},
+            control=control,
+            technique_pdf=torch.cat(densities, dim=1) if densities else None,
+            queries=sum(p.queries for p in parts),
+        )
 
 
 @dataclass(frozen=True)

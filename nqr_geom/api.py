@@ -1,0 +1,400 @@
+"""What a user calls: exact answers straight from the curve, sampled ones through the integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nqr_geom import check, registry
+from nqr_geom.curves.curve import BlackBoxCurve, Curve
+
+if TYPE_CHECKING:
+    from nqr_geom.curves.distance import ClosestPoint
+    from nqr_geom.integrator.estimate import Estimate
+    from nqr_geom.integrator.frontier import Frontier
+    from nqr_geom.integrator.problem import Problem
+
+__all__ = [
+    "closest_point",
+    "distance",
+    "distance_gradient",
+    "frontier",
+    "gwn",
+    "gwn_gradient",
+    "integrate",
+    "models",
+    "rules",
+    "samplers",
+    "sd",
+    "sd_gradient",
+    "signed_distance",
+]
+
+Floats = NDArray[np.float64]
+
+
+def _curve(curve: Any) -> Curve:
+    if not isinstance(curve, Curve):
+        raise TypeError(f"curve: expected a Curve, such as Curve.polyline(points), got {type(curve).__name__}")
+    return curve
+
+
+def _need_torch(purpose: str) -> None:
+    check.require("torch", "learn", purpose)
+
+
+def _answer(
+    exact: Callable[[], Floats],
+    problem: Callable[[], Problem],
+    name: str,
+    curve: Curve,
+    method: str,
+    n: int,
+    tol: float | None,
+    seed: int,
+    full_output: bool,
+) -> Floats | Estimate:
+    """An exact answer, or the estimate of a sampled method, for one of the problems on curves."""
+    black_box = isinstance(curve, BlackBoxCurve)
+    if method == "auto":
+        method = "structured" if black_box else "exact"
+    if method == "exact":
+        if not full_output:
+            return exact()
+        _need_torch("full_output=True")
+        from nqr_geom.integrator.plan import exactly
+
+        return exactly(exact, name)
+    _need_torch(f"method={method!r}")
+    if tol is None:
+        estimate = integrate(problem(), n, method=method, seed=seed)
+    else:
+        from nqr_geom.integrator.plan import until
+
+        sampler, rule = (
+            registry.make(k, v) for k, v in zip(("sampler", "rule"), registry.method(method, name), strict=True)
+        )
+        estimate = until(problem(), sampler, rule, check.number("tol", tol, low=0.0, open_low=True), n, seed=seed)
+    return estimate if full_output else estimate.value[:, 0]
+
+
+def gwn(
+    curve: Curve,
+    points: ArrayLike,
+    *,
+    method: str = "exact",
+    n: int = 32,
+    tol: float | None = None,
+    seed: int = 0,
+    full_output: bool = False,
+) -> Floats | Estimate:
+    """Generalised winding number of a curve around each query point (Eq. 5).
+
+    Counter-clockwise is +1. On the curve itself the principal value is given, the mean of both sides: 1/2 on an edge
+    of a simple polygon, the interior angle over 2 pi at its corner.
+
+    Parameters
+    ----------
+    curve : Curve
+        Open, closed, self-intersecting or disjoint pieces.
+    points : (m, 2) array_like
+        Query points, finite.
+    method : str
+        "exact" (default), "auto" (exact where the pieces are known, else "structured"), "mc", "stratified",
+        "trapezoid", "structured", or any "sampler+rule" of `samplers()` and `rules()`. All but "exact" see the curve
+        through point queries only and need the extra "learn".
+    n : int
+        Samples per query of a sampled method.
+    tol : float, optional
+        Absolute error to reach: a sampled method doubles n until repetitions agree that well.
+    seed : int
+        Seed of a sampled method; the same seed gives the same answer.
+    full_output : bool
+        Return the `Estimate` with counts, times and error bars instead of the array.
+
+    Returns
+    -------
+    (m,) float64 ndarray, or Estimate
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is of the wrong kind, shape or range, or the curve is a black box and the method "exact".
+
+    References
+    ----------
+    Jacobson, Kavan, Sorkine-Hornung, Robust inside-outside segmentation using generalized winding numbers, 2013;
+    Lu et al., Neural Quadrature Rule and Autoregressive Adaptive Sampling, Section 6.2.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> square = ng.Curve.polyline([[0, 0], [1, 0], [1, 1], [0, 1]], closed=True)
+    >>> ng.gwn(square, [[0.5, 0.5], [2.0, 0.5], [0.5, 0.0]])
+    array([1. , 0. , 0.5])
+    """
+    from nqr_geom.curves import winding
+
+    _curve(curve)
+
+    def problem() -> Problem:
+        from nqr_geom import problems
+
+        return problems.gwn(curve, points)
+
+    return _answer(lambda: winding.gwn(curve, points), problem, "gwn", curve, method, n, tol, seed, full_output)
+
+
+def sd(
+    curve: Curve,
+    points: ArrayLike,
+    *,
+    alpha: float = 35.0,
+    method: str = "exact",
+    n: int = 32,
+    tol: float | None = None,
+    seed: int = 0,
+    full_output: bool = False,
+) -> Floats | Estimate:
+    """Smoothed unsigned distance -ln(integral of exp(-alpha |x - p|) dl) / alpha (Eq. 50).
+
+    Parameters
+    ----------
+    curve : Curve
+        At least one piece of positive length.
+    points : (m, 2) array_like
+        Query points, finite.
+    alpha : float
+        Sharpness, > 0, in units of one over length. The answer lies between d_min - ln(L)/alpha and
+        d_max - ln(L)/alpha for a curve of length L.
+    method, n, tol, seed, full_output
+        As for `gwn`. "exact" is adaptive quadrature to about 1e-10.
+
+    Returns
+    -------
+    (m,) float64 ndarray, or Estimate
+        In the unit of the coordinates; negative values are possible.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> segment = ng.Curve.polyline([[-1, 0], [1, 0]])
+    >>> ng.sd(segment, [[0.0, 0.5]]).round(3)
+    array([0.534])
+    """
+    from nqr_geom.curves import smooth
+
+    _curve(curve)
+
+    def problem() -> Problem:
+        from nqr_geom import problems
+
+        return problems.sd(curve, points, alpha)
+
+    def exact() -> Floats:
+        return smooth.sd(curve, points, alpha=alpha)
+
+    return _answer(exact, problem, "sd", curve, method, n, tol, seed, full_output)
+
+
+def distance(curve: Curve, points: ArrayLike) -> Floats:
+    """Distance from each point (m, 2) to the nearest point of the curve, (m,) float64, >= 0.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> ng.distance(ng.Curve.polyline([[0, 0], [2, 0]]), [[1.0, 0.5], [3.0, 0.0]])
+    array([0.5, 1. ])
+    """
+    from nqr_geom.curves import distance as kernels
+
+    return kernels.distance(_curve(curve), points)
+
+
+def signed_distance(curve: Curve, points: ArrayLike, *, sign: str = "nonzero") -> Floats:
+    """Distance with a sign, negative inside, (m,) float64.
+
+    Parameters
+    ----------
+    curve : Curve
+        Open curves have a soft inside: where the winding number rounds to something else than zero.
+    points : (m, 2) array_like
+        Query points, finite.
+    sign : {"nonzero", "even-odd"}
+        What is inside: a winding number that is not zero, or an odd one.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> square = ng.Curve.polyline([[0, 0], [1, 0], [1, 1], [0, 1]], closed=True)
+    >>> ng.signed_distance(square, [[0.5, 0.25], [2.0, 0.5]])
+    array([-0.25,  1.  ])
+    """
+    from nqr_geom.curves import distance as kernels
+
+    return kernels.signed_distance(_curve(curve), points, sign=sign)
+
+
+def closest_point(curve: Curve, points: ArrayLike) -> ClosestPoint:
+    """Nearest point of the curve to each query (m, 2), with its distance, piece and parameter.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> nearest = ng.closest_point(ng.Curve.polyline([[0, 0], [2, 0], [2, 2]]), [[1.0, 0.5]])
+    >>> nearest.point, nearest.piece, nearest.t
+    (array([[1., 0.]]), array([0]), array([0.5]))
+    """
+    from nqr_geom.curves import distance as kernels
+
+    return kernels.closest_point(_curve(curve), points)
+
+
+def gwn_gradient(curve: Curve, points: ArrayLike) -> Floats:
+    """Derivative of the winding number by the query, (m, 2) float64; zero for closed curves.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> ng.gwn_gradient(ng.Curve.polyline([[1, -1], [1, 1]]), [[0.0, 0.0]]).round(4) + 0.0
+    array([[0.1592, 0.    ]])
+    """
+    from nqr_geom.curves import winding
+
+    return winding.gwn_gradient(_curve(curve), points)
+
+
+def sd_gradient(curve: Curve, points: ArrayLike, *, alpha: float = 35.0) -> Floats:
+    """Derivative of the smoothed distance by the query, (m, 2) float64, of length at most 1.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> ng.sd_gradient(ng.Curve.polyline([[-1, 0], [1, 0]]), [[0.0, 0.5]]).round(2) + 0.0
+    array([[0.  , 0.97]])
+    """
+    from nqr_geom.curves import smooth
+
+    return smooth.sd_gradient(_curve(curve), points, alpha=alpha)
+
+
+def distance_gradient(curve: Curve, points: ArrayLike) -> Floats:
+    """Derivative of the distance by the query, (m, 2) float64: a unit vector away from the nearest point.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> ng.distance_gradient(ng.Curve.polyline([[0, 0], [2, 0]]), [[1.0, 0.5]])
+    array([[0., 1.]])
+    """
+    from nqr_geom.curves import distance as kernels
+
+    return kernels.distance_gradient(_curve(curve), points)
+
+
+def integrate(
+    problem: Problem,
+    n: int = 32,
+    *,
+    sampler: str = "stratified",
+    rule: str = "mc",
+    method: str | None = None,
+    replicates: int = 1,
+    seed: int = 0,
+) -> Estimate:
+    """Estimate a batch of integrals with any sampler and any rule.
+
+    Parameters
+    ----------
+    problem : Problem
+        From `problems`, or your own subclass of `nqr_geom.integrator.problem.Problem`.
+    n : int
+        Samples per integral.
+    sampler, rule : str
+        Names from `samplers()` and `rules()`. What does not fit is refused with the reason.
+    method : str, optional
+        An alias such as "structured", or "sampler+rule", instead of the two.
+    replicates : int
+        Independent repetitions to average; from 8 on they give a standard error.
+    seed : int
+        The same seed gives the same answer, whatever part of the batch is asked for.
+
+    Returns
+    -------
+    Estimate
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> estimate = ng.integrate(ng.problems.toy(100), n=32, sampler="sobol", rule="trapezoid")
+    >>> estimate.value.shape, estimate.counts["queries"]
+    ((100, 1), 3200)
+    """
+    _need_torch("sampled methods")
+    from nqr_geom.integrator.estimate import run
+
+    if method is not None:
+        sampler, rule = registry.method(method, problem.name)
+    made = registry.make("sampler", sampler), registry.make("rule", rule)
+    return run(problem, *made, n, replicates=replicates, seed=seed)
+
+
+def frontier(
+    problem: Problem,
+    methods: Sequence[str] | None = None,
+    budgets: Sequence[int] | None = None,
+    *,
+    runs: int = 16,
+    seed: int = 0,
+    tick: Callable[[int, int, str], None] | None = None,
+) -> Frontier:
+    """Measure what accuracy costs: error against samples, time and memory for each method, on this machine.
+
+    Parameters
+    ----------
+    problem : Problem
+        One that knows its reference.
+    methods : sequence of str, optional
+        Aliases or "sampler+rule"; by default those that fit the problem.
+    budgets : sequence of int, optional
+        Numbers of samples per integral.
+    runs : int
+        Independent runs a point.
+    seed : int
+        Seed of the first run.
+    tick : callable, optional
+        Called as ``tick(done, total, label)`` for a progress bar.
+
+    Returns
+    -------
+    Frontier
+        With `.table`, `.envelope()`, `.plot(path)` and `.to_json(path)`.
+    """
+    _need_torch("frontiers")
+    from nqr_geom.integrator import frontier as measured
+
+    return measured.frontier(problem, methods, budgets, runs=runs, seed=seed, tick=tick)
+
+
+def samplers() -> dict[str, str]:
+    """Every sampler by name, with one line of explanation.
+
+    Examples
+    --------
+    >>> samplers()["grid"]
+    'centres of n equal cells'
+    """
+    return {entry.name: entry.summary for entry in registry.entries("sampler")}
+
+
+def rules() -> dict[str, str]:
+    """Every rule by name, with one line of explanation."""
+    return {entry.name: entry.summary for entry in registry.entries("rule")}
+
+
+def models() -> dict[str, str]:
+    """Every trained model by name, with one line of explanation."""
+    return {entry.name: entry.summary for entry in registry.entries("model")}

@@ -1,0 +1,342 @@
+"""Winding number and smoothed distance as integrals over the curve parameter, with all that a sample tells.
+
+A problem holds S shapes and B query points, each of one shape. It sees a curve only through point queries: position
+and tangent at s, and the piece that s lies in (Section 6.2). The exact answers serve as its reference only.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from nqr_geom import check
+from nqr_geom.curves.curve import BlackBoxCurve, Curve
+from nqr_geom.integrator.problem import Feature, Link, LogLink, Observation, Problem, Samples, Schema
+
+__all__ = ["CurveProblem", "GwnProblem", "PackedShapes", "SdProblem", "Shapes"]
+
+_TINY = 1e-280  # squared distances are kept above it, so that a query on the curve stays finite
+
+
+class Shapes(Protocol):
+    """S curves that can be asked for points."""
+
+    @property
+    def pieces(self) -> Tensor:
+        """Number of pieces of each shape, (S,) int64, at least 1."""
+
+    @property
+    def queries_per_sample(self) -> int:
+        """Point queries that a position with its tangent costs."""
+
+    def at(self, shape: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Position (B,N,2), tangent dx/ds (B,N,2) and piece (B,N) of shape (B,) at s (B,N)."""
+
+
+@dataclass(frozen=True)
+class PackedShapes:
+    """Polynomial pieces of many shapes in one tensor, evaluated on any device.
+
+    Parameters
+    ----------
+    coefficients : Tensor, (S, K, 4, 2), float64
+        Power basis of each piece in its local parameter.
+    pieces : Tensor, (S,), int64
+        How many of the K pieces are used.
+    """
+
+    coefficients: Tensor
+    pieces: Tensor
+    queries_per_sample: int = 1
+
+    @classmethod
+    def from_curves(cls, curves: Sequence[Curve]) -> PackedShapes:
+        """Pack curves; an empty one becomes a single piece of length zero."""
+        most = max((curve.n_pieces for curve in curves), default=0)
+        packed = np.zeros((len(curves), max(most, 1), 4, 2))
+        for k, curve in enumerate(curves):
+            packed[k, : curve.n_pieces] = curve.coefficients
+        pieces = torch.tensor([max(curve.n_pieces, 1) for curve in curves])
+        return cls(torch.from_numpy(packed), pieces)
+
+    @classmethod
+    def from_quadratics(cls, control: Tensor) -> PackedShapes:
+        """Shapes of K quadratic Bezier pieces each, (S, K, 3, 2): the family while training."""
+        p0, p1, p2 = control.unbind(dim=2)
+        coefficients = torch.stack([p0, 2.0 * (p1 - p0), p0 - 2.0 * p1 + p2, torch.zeros_like(p0)], dim=2)
+        return cls(coefficients, torch.full(control.shape[:1], control.shape[1], device=control.device))
+
+    def at(self, shape: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        count = self.pieces[shape][:, None]
+        piece, t = locate(s, count)
+        c = self.coefficients[shape[:, None], piece]
+        c0, c1, c2, c3 = c.unbind(dim=2)
+        t = t[..., None]
+        position = c0 + t * (c1 + t * (c2 + t * c3))
+        tangent = count[..., None] * (c1 + t * (2.0 * c2 + t * (3.0 * c3)))
+        return position, tangent, piece
+
+
+@dataclass(frozen=True)
+class BlackBoxShape:
+    """One curve of which only points can be asked."""
+
+    curve: BlackBoxCurve
+
+    @property
+    def pieces(self) -> Tensor:
+        return torch.tensor([self.curve.n_pieces])
+
+    @property
+    def queries_per_sample(self) -> int:
+        return 1 + self.curve.derivative_queries
+
+    def at(self, shape: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        piece = locate(s, self.pieces[shape][:, None])[0]
+        flat = s.cpu().numpy().ravel()
+        position = torch.from_numpy(self.curve.sample(flat)).reshape(*s.shape, 2)
+        tangent = torch.from_numpy(self.curve.derivative(flat)).reshape(*s.shape, 2)
+        return position.to(s.device), tangent.to(s.device), piece
+
+
+def locate(s: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
+    """Piece and local parameter in [0, 1] of s, where `count` equal pieces share [0, 1] (see `Curve.locate`)."""
+    u = s * count
+    joint = u.round()
+    u = torch.where((u - joint).abs() <= 2.0**-52 * joint, joint, u)
+    piece = torch.minimum(u.floor(), (count - 1).double()).long()
+    return piece, (u - piece).clamp(0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class CurveProblem(Problem):
+    """What the winding number and the smoothed distance share.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        S curves.
+    points : Tensor, (B, 2), float64
+        Query points.
+    shape : Tensor, (B,), int64
+        Which curve each query looks at.
+    rows : Tensor, (B,), int64
+        Global index of each integral.
+    curves : sequence of Curve, optional
+        The curves themselves, for the reference.
+    """
+
+    shapes: Shapes
+    points: Tensor
+    shape: Tensor
+    rows: Tensor
+    curves: tuple[Curve, ...] = ()
+
+    dim = 1
+
+    @classmethod
+    def _parts(
+        cls, curve: Curve | Sequence[Curve], points: ArrayLike
+    ) -> tuple[Shapes, Tensor, Tensor, tuple[Curve, ...]]:
+        curves = (curve,) if isinstance(curve, Curve) else tuple(curve)
+        if not curves or not all(isinstance(c, Curve) for c in curves):
+            raise TypeError(f"curve: expected a Curve or a sequence of them, got {curve!r}")
+        queries = torch.from_numpy(check.array("points", points, ("m", 2)).copy())
+        shapes: Shapes
+        if isinstance(curves[0], BlackBoxCurve):
+            if len(curves) > 1:
+                raise ValueError(f"curve: expected one black-box curve at a time, got {len(curves)}")
+            shapes = BlackBoxShape(curves[0])
+        else:
+            shapes = PackedShapes.from_curves(curves)
+        shape = torch.arange(len(curves)).repeat_interleave(len(queries))
+        return shapes, queries.repeat(len(curves), 1), shape, curves
+
+    @classmethod
+    @abstractmethod
+    def of(cls, curve: Curve | Sequence[Curve], points: ArrayLike) -> CurveProblem:
+        """The problem on `points` (m, 2) for a curve, or for each of several."""
+
+    @classmethod
+    def family(cls, n: int, seed: int = 0, split: str = "test", resolution: int = 128) -> CurveProblem:
+        """n random shapes of Fig. 38, each on the centres of a grid over [-1, 1]^2 that are not on the curve.
+
+        Monte Carlo's variance grows like 1/d towards the curve, so its mean over all queries would diverge: centres
+        closer than 1e-3 are left out.
+
+        Parameters
+        ----------
+        n : int
+            Number of shapes.
+        seed, split
+            Which shapes, see `nqr_geom.curves.families.curves`.
+        resolution : int
+            Grid lines per side.
+        """
+        from nqr_geom.curves.distance import distance
+        from nqr_geom.curves.families import curves
+
+        shapes = curves(n, seed=seed, split=split)
+        line = (np.arange(check.integer("resolution", resolution, low=1)) + 0.5) * (2.0 / resolution) - 1.0
+        grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        whole = cls.of(shapes, grid)
+        far = np.concatenate([distance(curve, grid) >= 1e-3 for curve in shapes])
+        return whole.take(torch.from_numpy(np.flatnonzero(far)))
+
+    @property
+    def groups(self) -> NDArray[np.int64]:
+        return self.shape.cpu().numpy()
+
+    @property
+    def schema(self) -> Schema:  # type: ignore[override]
+        """Everything of Section 6.2, and the speed that turns the normal into a tangent."""
+        return Schema(
+            (
+                Feature("relative", "scalar", 2),
+                Feature("normal", "direction", 2),
+                Feature("piece", "index", levels=int(self.shapes.pieces.max())),
+                Feature("pieces", "scalar"),
+                Feature("distance2", "scalar"),
+                Feature("inverse_distance2", "scalar"),
+                Feature("speed", "scalar"),
+            )
+        )
+
+    def _observe(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, dict[str, Tensor]]:
+        """Relative position, tangent, squared distance and all features at x (B, N, 1)."""
+        position, tangent, piece = self.shapes.at(self.shape, x[..., 0])
+        relative = position - self.points[:, None]
+        distance2 = relative.square().sum(-1).clamp_min(_TINY)
+        speed = torch.linalg.vector_norm(tangent, dim=-1)
+        unit = tangent / speed.clamp_min(_TINY)[..., None]
+        normal = torch.stack([unit[..., 1], -unit[..., 0]], dim=-1)
+        features = {
+            "relative": relative[:, :, None],
+            "normal": normal[:, :, None],
+            "piece": piece[:, :, None, None],
+            "pieces": self.shapes.pieces[self.shape][:, None, None, None].expand(*piece.shape, 1, 1),
+            "distance2": distance2[:, :, None, None],
+            "inverse_distance2": 1.0 / distance2[:, :, None, None],
+            "speed": speed[:, :, None, None],
+        }
+        return relative, tangent, distance2, features
+
+    def _count(self, x: Tensor) -> int:
+        return x.shape[0] * x.shape[1] * self.shapes.queries_per_sample
+
+    def take(self, index: slice | Tensor) -> CurveProblem:
+        return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index])
+
+    def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
+        return {"exact": self._reference} if self._known else {}
+
+    @property
+    def _known(self) -> bool:
+        """Whether the curves themselves are there, and not only their points."""
+        return bool(self.curves) and not any(isinstance(curve, BlackBoxCurve) for curve in self.curves)
+
+    def reference(self) -> NDArray[np.float64] | None:
+        return self._reference() if self._known else None
+
+    @abstractmethod
+    def _reference(self) -> NDArray[np.float64]:
+        """Exact answers (B, 1)."""
+
+    def _exact(self, answer: Callable[[Curve, NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+        """`answer` for each query on its own curve, (B, 1)."""
+        result = np.empty((self.batch, 1))
+        points, shape = self.points.cpu().numpy(), self.shape.cpu().numpy()
+        for k in np.unique(shape):
+            result[shape == k, 0] = answer(self.curves[k], points[shape == k])
+        return result
+
+
+@dataclass(frozen=True)
+class GwnProblem(CurveProblem):
+    """The generalised winding number as an integral over s (Eq. 5).
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> square = ng.Curve.polyline([[0, 0], [1, 0], [1, 1], [0, 1]], closed=True)
+    >>> problem = GwnProblem.of(square, [[0.5, 0.5], [2.0, 0.5]])
+    >>> problem.reference().ravel().tolist()
+    [1.0, 0.0]
+    """
+
+    name = "gwn"
+
+    @classmethod
+    def of(cls, curve: Curve | Sequence[Curve], points: ArrayLike) -> GwnProblem:
+        """Winding numbers of `points` (m, 2) with respect to a curve, or to each of several."""
+        shapes, queries, shape, curves = cls._parts(curve, points)
+        return cls(shapes, queries, shape, torch.arange(len(queries)), curves)
+
+    def evaluate(self, x: Tensor) -> Observation:
+        relative, tangent, distance2, features = self._observe(x)
+        cross = relative[..., 0] * tangent[..., 1] - relative[..., 1] * tangent[..., 0]
+        value = cross / (2.0 * math.pi * distance2)
+        return Observation(value[:, :, None, None], features, queries=self._count(x))
+
+    def _reference(self) -> NDArray[np.float64]:
+        from nqr_geom.curves.winding import gwn
+
+        return self._exact(gwn)
+
+
+@dataclass(frozen=True)
+class SdProblem(CurveProblem):
+    """The smoothed distance -ln(integral of exp(-alpha |x - p|) dl) / alpha as an integral over s (Eq. 50).
+
+    Once all samples are there, the smallest distance among them is taken out of the exponential and put back by the
+    link, so that no alpha under- or overflows.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> segment = ng.Curve.polyline([[-1, 0], [1, 0]])
+    >>> SdProblem.of(segment, [[0.0, 0.5]], alpha=35.0).reference().round(3).tolist()
+    [[0.534]]
+    """
+
+    alpha: float = 35.0
+
+    name = "sd"
+
+    @classmethod
+    def of(cls, curve: Curve | Sequence[Curve], points: ArrayLike, alpha: float = 35.0) -> SdProblem:
+        """Smoothed distances of `points` (m, 2) to a curve, or to each of several; alpha > 0."""
+        alpha = check.number("alpha", alpha, low=0.0, open_low=True)
+        shapes, queries, shape, curves = cls._parts(curve, points)
+        return cls(shapes, queries, shape, torch.arange(len(queries)), curves, alpha)
+
+    def evaluate(self, x: Tensor) -> Observation:
+        _, _, distance2, features = self._observe(x)
+        features["alpha"] = x.new_full((*x.shape[:2], 1, 1), self.alpha)
+        value = torch.exp(-self.alpha * distance2.sqrt()) * features["speed"][..., 0, 0]
+        return Observation(value[:, :, None, None], features, queries=self._count(x))
+
+    @property
+    def schema(self) -> Schema:  # type: ignore[override]
+        """As for the winding number, and the sharpness."""
+        return Schema((*super().schema.features, Feature("alpha", "scalar")))
+
+    def finalize(self, samples: Samples) -> tuple[Samples, Link]:
+        distance = samples.seen.features["distance2"][..., 0, 0].sqrt()
+        shift = distance.min(dim=1, keepdim=True).values
+        value = torch.exp(-self.alpha * (distance - shift)) * samples.seen.features["speed"][..., 0, 0]
+        seen = replace(samples.seen, value=value[:, :, None, None])
+        return replace(samples, seen=seen), LogLink(alpha=self.alpha, shift=shift)
+
+    def _reference(self) -> NDArray[np.float64]:
+        from nqr_geom.curves.smooth import sd
+
+        return self._exact(lambda curve, points: sd(curve, points, alpha=self.alpha))

@@ -1,0 +1,173 @@
+"""Structure-aware rules and sampler for curves: look where the rebuilt curve is uncertain, then integrate it exactly.
+
+They see a curve only through point queries (position, tangent, piece), as the networks do, and need no network.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from nqr_geom.curves import hermite
+from nqr_geom.integrator.problem import Observation, Problem, Samples
+from nqr_geom.integrator.rules import Combination, Rule
+from nqr_geom.integrator.samplers import Sampler, Stratified
+from nqr_geom.streams import Stream
+
+__all__ = ["CurveRefine", "GwnHermite", "SdHermite"]
+
+_END = 1e-10  # how far inside its piece an end is asked, as a part of the piece
+
+
+class GwnHermite(Rule):
+    """The exact winding number of the curve rebuilt from its samples.
+
+    All of it is the additive term `a`: the values themselves are not used. Exact for pieces that are quadratics (from
+    two samples a piece) or cubics (two samples and both ends); integrals in doubt are flagged: a piece unseen, or a
+    query closer to the rebuilt curve than that may be off.
+    """
+
+    name = "gwn-hermite"
+
+    def combine(self, samples: Samples) -> Combination:
+        segments = hermite.reconstruct(samples, self.name)
+        value, doubtful = hermite.winding(segments)
+        return Combination(samples.x.new_zeros(1, 1, 1, 1), value[:, None], doubtful | segments.missing)
+
+
+class SdHermite(Rule):
+    """The smoothed distance's integral over the curve rebuilt from its samples; all of it is the additive term."""
+
+    name = "sd-hermite"
+
+    def combine(self, samples: Samples) -> Combination:
+        segments = hermite.reconstruct(samples, self.name)
+        alpha = samples.feature("alpha", self.name)[:, 0, 0, 0]
+        shift = samples.feature("distance2", self.name)[..., 0, 0].sqrt().amin(dim=1)
+        value = hermite.log_integral(segments, alpha, shift)
+        return Combination(samples.x.new_zeros(1, 1, 1, 1), value[:, None], segments.missing)
+
+
+@dataclass(frozen=True)
+class CurveRefine(Sampler):
+    """Both ends of every piece, one point in its middle, then the gap that matters most to the query.
+
+    What matters is how far the rebuilt curve may be off in a gap against the gap's distance from the query. With
+    fewer than two samples a piece, jittered points are drawn instead.
+
+    Parameters
+    ----------
+    spread : float
+        A gap is cut at 1/2 +- spread/2 of its length, at random, so that repetitions differ.
+    """
+
+    spread: float = 0.2
+
+    name = "curve-refine"
+
+    def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
+        pieces = getattr(getattr(problem, "shapes", None), "pieces", None)
+        if pieces is None:
+            raise ValueError(f"sampler: {self.name!r} needs a problem on curves, got {problem.name!r}")
+        count = pieces[problem.shape]  # type: ignore[attr-defined]
+        result: list[tuple[Tensor, Samples]] = []
+        for k in count.unique().tolist():
+            index = (count == k).nonzero()[:, 0]
+            part = problem.take(index)
+            result.append((index, self._refine(part, k, n, stream) if n >= 2 * k else self._spread(part, n, stream)))
+        return result[0][1] if len(result) == 1 else _interleaved(result)
+
+    def _spread(self, problem: Problem, n: int, stream: Stream) -> Samples:
+        samples = Stratified().draw(problem, n, stream)
+        return replace(samples, pdf=None, design=self.name, stratum=None, volume=None)
+
+    def _refine(self, problem: Problem, k: int, n: int, stream: Stream) -> Samples:
+        device = problem.rows.device
+        start = torch.arange(k, device=device).double()
+        ends = torch.stack([start, start + 1.0 - _END], dim=1).reshape(1, 2 * k, 1) / k
+        x = ends.expand(problem.batch, 2 * k, 1)
+        seen = [problem.evaluate(x)]
+        gaps = _Gaps.between_ends(x, seen[0], n)
+        at = torch.arange(problem.batch, device=device)
+        for i in range(2 * k, n):
+            chosen = gaps.priority().argmax(dim=1)
+            jitter = stream.uniform(problem.rows, torch.tensor(i, device=device)) - 0.5
+            cut = 0.5 + self.spread * jitter
+            s = gaps.s[at, chosen, 0] * (1.0 - cut) + gaps.s[at, chosen, 1] * cut
+            seen.append(problem.evaluate(s[:, None, None]))
+            x = torch.cat([x, s[:, None, None]], dim=1)
+            gaps.split(chosen, s, seen[-1])
+        return Samples(x, Observation.join(seen), None, self.name)
+
+
+def _ends_of(seen: Observation) -> tuple[Tensor, Tensor]:
+    """Relative positions and tangents (B, N, 2) of an observation."""
+    probe = Samples(seen.value[..., 0], seen, None, "probe")
+    return seen.features["relative"][:, :, 0], hermite.tangents(probe, "curve-refine")
+
+
+class _Gaps:
+    """The gaps of B integrals while they are refined: ends, tangents and estimated error, (B, G, ...)."""
+
+    def __init__(self, s: Tensor, r: Tensor, t: Tensor, error: Tensor, capacity: int) -> None:
+        batch, self.used = error.shape
+        self.s, self.r = s.new_zeros(batch, capacity, 2), s.new_zeros(batch, capacity, 2, 2)
+        self.t, self.error = s.new_zeros(batch, capacity, 2, 2), s.new_zeros(batch, capacity)
+        self.nearest = s.new_ones(batch, capacity)
+        self._store(slice(0, self.used), s, r, t, error)
+
+    @classmethod
+    def between_ends(cls, x: Tensor, seen: Observation, n: int) -> _Gaps:
+        """One gap a piece; nothing is known of it, so its error is its whole size."""
+        r, t = _ends_of(seen)
+        batch, ends = r.shape[:2]
+        s = x[..., 0].reshape(batch, ends // 2, 2)
+        r, t = r.reshape(batch, -1, 2, 2), t.reshape(batch, -1, 2, 2)
+        length = (s[..., 1] - s[..., 0]) * torch.linalg.vector_norm(t, dim=-1).mean(dim=-1)
+        return cls(s, r, t, length, ends // 2 + n - ends)
+
+    def _store(self, where: slice | tuple[Tensor, Tensor], s: Tensor, r: Tensor, t: Tensor, error: Tensor) -> None:
+        key = (slice(None), where) if isinstance(where, slice) else where
+        self.s[key], self.r[key], self.t[key], self.error[key] = s, r, t, error
+        h = (s[..., 1] - s[..., 0])[..., None]
+        middle = r.mean(dim=-2) + h * (t[..., 0, :] - t[..., 1, :]) / 8.0
+        points = torch.cat([r, middle[..., None, :]], dim=-2)
+        self.nearest[key] = torch.linalg.vector_norm(points, dim=-1).amin(dim=-1)
+
+    def priority(self) -> Tensor:
+        """What a cut may gain, (B, used): the chance to be on the wrong side, then sheer closeness."""
+        error, distance = self.error[:, : self.used], self.nearest[:, : self.used]
+        size = torch.linalg.vector_norm(self.r[:, : self.used, 1] - self.r[:, : self.used, 0], dim=-1)
+        slack = error + 1e-9 * size
+        return slack / (distance + slack).clamp_min(1e-300)
+
+    def split(self, chosen: Tensor, s: Tensor, seen: Observation) -> None:
+        """Cut the chosen gap of every integral at s (B,), where `seen` was observed."""
+        r, t = _ends_of(seen)
+        at = torch.arange(len(s), device=s.device)
+        ends, rr, tt = self.s[at, chosen], self.r[at, chosen], self.t[at, chosen]
+        left, right = hermite.child_errors(ends, rr, tt, s, r[:, 0])
+        middle = torch.stack([ends[:, 0], s, ends[:, 1]], dim=1)
+        points, slopes = torch.stack([rr[:, 0], r[:, 0], rr[:, 1]], 1), torch.stack([tt[:, 0], t[:, 0], tt[:, 1]], 1)
+        new = torch.full_like(chosen, self.used)
+        self._store((at, chosen), middle[:, :2], points[:, :2], slopes[:, :2], left)
+        self._store((at, new), middle[:, 1:], points[:, 1:], slopes[:, 1:], right)
+        self.used += 1
+
+
+def _interleaved(parts: list[tuple[Tensor, Samples]]) -> Samples:
+    """Put samples of row subsets back into one batch."""
+    order = torch.cat([index for index, _ in parts]).argsort()
+
+    def rows(tensors: list[Tensor]) -> Tensor:
+        return torch.cat(tensors)[order]
+
+    seen = [samples.seen for _, samples in parts]
+    joined = Observation(
+        rows([o.value for o in seen]),
+        {name: rows([o.features[name] for o in seen]) for name in seen[0].features},
+        queries=sum(o.queries for o in seen),
+    )
+    return Samples(rows([samples.x for _, samples in parts]), joined, None, parts[0][1].design)

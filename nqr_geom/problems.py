@@ -1,0 +1,66 @@
+"""Problem objects for the integrator, built from what a user has: `ng.problems.gwn(curve, points)` and its like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from nqr_geom.curves.curve import Curve
+from nqr_geom.curves.problems import GwnProblem, SdProblem
+from nqr_geom.toy.problem import ToyProblem
+
+__all__ = ["gwn", "sd", "toy"]
+
+
+def gwn(curve: Curve | Sequence[Curve], points: ArrayLike) -> GwnProblem:
+    """Winding numbers as integrals (Eq. 5).
+
+    Parameters
+    ----------
+    curve : Curve or sequence of Curve
+        One curve, or several that each see all points.
+    points : (m, 2) array_like
+        Query points.
+
+    Returns
+    -------
+    GwnProblem
+        m integrals per curve, curve after curve.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> square = ng.Curve.polyline([[0, 0], [1, 0], [1, 1], [0, 1]], closed=True)
+    >>> ng.problems.gwn(square, [[0.5, 0.5]]).batch
+    1
+    """
+    return GwnProblem.of(curve, points)
+
+
+def sd(curve: Curve | Sequence[Curve], points: ArrayLike, alpha: float = 35.0) -> SdProblem:
+    """Smoothed distances as integrals behind a logarithm (Eq. 50).
+
+    Parameters
+    ----------
+    curve, points
+        As for `gwn`.
+    alpha : float
+        Sharpness, > 0, in units of one over length.
+    """
+    return SdProblem.of(curve, points, alpha)
+
+
+def toy(n: int, seed: int = 0, split: str = "test") -> ToyProblem:
+    """The first n integrands of the one-dimensional family of Fig. 37.
+
+    Parameters
+    ----------
+    n : int
+        How many.
+    seed : int
+        Which family.
+    split : {"test", "train", "validation"}
+        The same seed gives other integrands in another split.
+    """
+    return ToyProblem.family(n, seed=seed, split=split)
