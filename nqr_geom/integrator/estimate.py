@@ -15,6 +15,7 @@ from nqr_geom.integrator import memory
 from nqr_geom.integrator.problem import Problem
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.integrator.samplers import Sampler
+from nqr_geom.integrator.sums import row_sum
 from nqr_geom.streams import Stream
 
 __all__ = ["Estimate", "Statistics", "run"]
@@ -126,7 +127,7 @@ class Estimate:
             counts={key: self.counts[key] + other.counts[key] for key in self.counts},
             seconds=self.seconds + other.seconds,
             stages={key: self.stages[key] + other.stages[key] for key in self.stages},
-            peak_memory=max(filter(None, (self.peak_memory, other.peak_memory)), default=None),
+            peak_memory=max((p for p in (self.peak_memory, other.peak_memory) if p is not None), default=None),
             fallback=self.fallback | other.fallback,
             plan={**self.plan, "seeds": self.plan["seeds"] + other.plan["seeds"]},
             statistics=statistics,
@@ -155,7 +156,7 @@ def _tile(
         fallback = fallback | combination.fallback
     m2 = None
     if rule.averages and samples.independent and n > 1:
-        spread = (combination.per_sample(samples) - inner[:, None]).square().sum(dim=1)
+        spread = row_sum((combination.per_sample(samples) - inner[:, None]).square())
         m2 = spread * link.slope(inner) ** 2
     stages["draw"] += drawn - start
     stages["combine"] += time.perf_counter() - drawn

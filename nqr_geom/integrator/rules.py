@@ -16,6 +16,7 @@ from torch import Tensor
 
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.samplers import cells_per_axis, gauss_legendre
+from nqr_geom.integrator.sums import cholesky_weights, least_norm, row_mean
 
 __all__ = [
     "BalanceHeuristic",
@@ -42,8 +43,8 @@ class Combination:
     ----------
     weights : Tensor, broadcastable to (B, N, T, C)
         W_i.
-    offset : Tensor, (B, C), or None
-        The additive term a; None is zero.
+    offset : Tensor, (B, C) or (B, N, C), or None
+        The additive term a, or one term a sample whose mean is a; None is zero.
     fallback : Tensor, (B,) bool, or None
         Integrals where the rule gave way to a safer one.
     """
@@ -55,12 +56,15 @@ class Combination:
     def per_sample(self, samples: Samples) -> Tensor:
         """The terms whose mean over N is the estimate, (B, N, C)."""
         terms = (self.weights * samples.value).sum(dim=2)
-        return terms if self.offset is None else terms + self.offset[:, None]
+        if self.offset is None:
+            return terms
+        return terms + (self.offset if self.offset.ndim == 3 else self.offset[:, None])
 
     def estimate(self, samples: Samples) -> Tensor:
         """F = a + mean over N, sum over T of W f, (B, C)."""
-        mean = (self.weights * samples.value).sum(dim=2).mean(dim=1)
-        return mean if self.offset is None else mean + self.offset
+        if self.offset is None or self.offset.ndim == 3:
+            return row_mean(self.per_sample(samples))
+        return row_mean((self.weights * samples.value).sum(dim=2)) + self.offset
 
 
 class Rule(ABC):
@@ -179,11 +183,13 @@ class GaussLegendre(Rule):
         self._need_one_technique(samples)
         if samples.design != "gauss-legendre":
             raise ValueError(f"rule: 'gauss-legendre' needs its own nodes, these are {samples.design!r} points")
-        weights = samples.x.new_ones(1)
-        for k in cells_per_axis(samples.n, samples.dim):
-            axis = torch.as_tensor(gauss_legendre(k)[1], device=samples.x.device)
-            weights = (weights[:, None] * axis).reshape(-1)
-        return Combination(samples.n * weights[None, :, None, None])
+        weights = torch.full_like(samples.x[..., 0], samples.n)
+        for axis, k in enumerate(cells_per_axis(samples.n, samples.dim)):
+            nodes, lengths = (torch.as_tensor(part, device=samples.x.device) for part in gauss_legendre(k))
+            # Which node it is follows from the position, so that the samples may come in any order.
+            between = 0.5 * (nodes[1:] + nodes[:-1])
+            weights = weights * lengths[torch.bucketize(samples.x[..., axis].contiguous(), between)]
+        return Combination(weights[..., None, None])
 
 
 def _legendre_basis(x: Tensor, degree: int) -> Tensor:
@@ -230,13 +236,15 @@ class Regression(Rule):
         weight = 1.0 / self._need_pdf(samples)[..., 0]
         basis = _legendre_basis(samples.x, self.degree)
         weighted = basis * weight[..., None]
-        gram = torch.einsum("bnk,bnl->bkl", weighted, basis) / samples.n
-        inverse = torch.linalg.pinv(gram, rtol=1e-10, hermitian=True)
+        gram = torch.stack([row_mean(weighted * column[..., None]) for column in basis.unbind(dim=-1)], dim=1)
         # The integral of the fit is its first coefficient; the residual's mean corrects what the fit leaves.
-        moment = -weighted.mean(dim=1)
+        moment = -row_mean(weighted)
         moment[:, 0] += 1.0
-        correction = torch.einsum("bnk,bkl,bl->bn", weighted, inverse, moment)
-        return Combination((weight + correction)[..., None, None])
+        solution = least_norm(gram, moment, rtol=1e-10)
+        weights = weight
+        for column, share in zip(weighted.unbind(dim=-1), solution.unbind(dim=-1), strict=True):
+            weights = weights + column * share[:, None]
+        return Combination(weights[..., None, None])
 
 
 @dataclass(frozen=True)
@@ -265,9 +273,7 @@ class BayesianQuadrature(Rule):
         scale = math.sqrt(2.0) * self.length
         axis = torch.erf((1.0 - x) / scale) + torch.erf(x / scale)
         mean = (self.length * math.sqrt(math.pi / 2.0) * axis).prod(dim=-1)
-        factor = torch.linalg.cholesky(kernel)
-        weights = torch.cholesky_solve(mean[..., None], factor)[..., 0]
-        return Combination(samples.n * weights[..., None, None])
+        return Combination(samples.n * cholesky_weights(kernel, mean)[..., None, None])
 
 
 class Stratification(Rule):
@@ -287,7 +293,10 @@ class Stratification(Rule):
 
 
 class DifferenceControlVariate(Rule):
-    """H + mean(f - h) for a control variate h with known integral H (Eq. 27): W = 1/pdf, a = H - mean(h)."""
+    """H + mean(f - h) for a control variate h with known integral H (Eq. 27): W = 1/pdf, a = H - mean(h).
+
+    The additive term is kept sample by sample, because it is f - h that varies, not f.
+    """
 
     name = "difference-cv"
     averages = True
@@ -296,7 +305,7 @@ class DifferenceControlVariate(Rule):
         self._need_one_technique(samples)
         weights = 1.0 / self._need_pdf(samples)[..., None]
         h, integral = _control(samples, self.name)
-        return Combination(weights, integral - (weights * h).sum(dim=2).mean(dim=1))
+        return Combination(weights, integral[:, None] - (weights * h).sum(dim=2))
 
 
 class RatioControlVariate(Rule):
@@ -312,8 +321,8 @@ class RatioControlVariate(Rule):
         self._need_one_technique(samples)
         weights = 1.0 / self._need_pdf(samples)[..., None]
         h, integral = _control(samples, self.name)
-        mean = (weights * h).sum(dim=2).mean(dim=1)
-        size = (weights * h).abs().sum(dim=2).mean(dim=1)
+        mean = row_mean((weights * h).sum(dim=2))
+        size = row_mean((weights * h).abs().sum(dim=2))
         sound = mean.abs() > 1e-3 * size
         ratio = torch.where(sound, integral / torch.where(sound, mean, 1.0), 1.0)
         return Combination(weights * ratio[:, None, None], fallback=~sound.all(dim=1))

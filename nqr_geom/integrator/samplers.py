@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 _MASK32 = 0xFFFFFFFF
+_BELOW_ONE = 1.0 - 2.0**-53
 
 
 class Sampler(ABC):
@@ -69,7 +70,8 @@ class FixedDesign(Sampler):
     def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
         if self.only_1d and problem.dim != 1:
             raise ValueError(f"sampler: {self.name!r} needs a 1-D problem, {problem.name!r} has {problem.dim}")
-        x = self.points(problem.rows, n, problem.dim, stream)
+        # A sum like (cell + u) / n may round up to 1, where floor(pieces * x) would leave its range.
+        x = self.points(problem.rows, n, problem.dim, stream).clamp_max(_BELOW_ONE)
         batch = problem.batch
         pdf = x.new_ones(batch, n, problem.techniques) if self.uniform else None
         stratum = volume = None
@@ -153,7 +155,9 @@ class Grid(FixedDesign):
 @lru_cache(maxsize=64)
 def gauss_legendre(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights of n-point Gauss-Legendre quadrature on [0, 1] (weights sum to 1)."""
-    nodes, weights = np.polynomial.legendre.leggauss(n)
+    from scipy.special import roots_legendre
+
+    nodes, weights = roots_legendre(n)  # from a banded matrix: NumPy's leggauss needs n^2 numbers
     return (nodes + 1.0) / 2.0, weights / 2.0
 
 
@@ -291,17 +295,17 @@ class BayesianDesign(FixedDesign):
         grid = (torch.arange(candidates, device=rows.device) + shift) / candidates
         first = stream.uniform(rows, torch.tensor(1, device=rows.device))
         variance = torch.ones_like(grid)
-        factor = grid.new_zeros(n, *grid.shape)
+        factor = grid.new_zeros(*grid.shape, n)
         chosen = []
         pivot = (first * candidates).long()
         for i in range(n):
             at = grid[batch, pivot]
             chosen.append(at)
             kernel = torch.exp(-0.5 * ((grid - at[:, None]) / self.length) ** 2)
-            row = factor[:i, batch, pivot]
+            row = factor[batch, pivot, :i]
             spread = variance[batch, pivot].clamp_min(1e-12).sqrt()
-            factor[i] = (kernel - (factor[:i] * row[..., None]).sum(0)) / spread[:, None]
-            variance = variance - factor[i] ** 2
+            factor[..., i] = (kernel - (factor[..., :i] * row[:, None]).sum(dim=-1)) / spread[:, None]
+            variance = variance - factor[..., i] ** 2
             variance[batch, pivot] = -torch.inf
             pivot = variance.argmax(dim=1)
         return torch.stack(chosen, dim=1)
