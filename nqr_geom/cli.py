@@ -1,0 +1,257 @@
+"""The command line: fields of a curve as pictures or arrays, and what their accuracy costs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import App, CycloptsError, Parameter
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+import nqr_geom as ng
+from nqr_geom import check, registry
+
+if TYPE_CHECKING:
+    from nqr_geom.curves.curve import Curve
+    from nqr_geom.integrator.frontier import Frontier
+
+__all__ = ["app", "main"]
+
+app = App(
+    name="nqr-geom",
+    version=ng.__version__,
+    help="Winding numbers and distances of curves you bring, and what accuracy costs in time.",
+    result_action="return_value",
+)
+out_console = Console()
+error_console = Console(stderr=True)
+
+Source = Annotated[
+    str, Parameter(help="An SVG file, SVG path data, or a .npy file with the points of a polyline (n, 2).")
+]
+Text = Annotated[bool, Parameter(help="Take SOURCE as text and use its outlines.")]
+Method = Annotated[str, Parameter(help="exact, auto, mc, stratified, trapezoid, structured, or sampler+rule.")]
+Samples = Annotated[int, Parameter(name=["--samples", "-n"], help="Samples per query of a sampled method.")]
+Resolution = Annotated[int, Parameter(help="Grid lines of the picture's longer side.")]
+Seed = Annotated[int, Parameter(help="Seed of a sampled method.")]
+Out = Annotated[Path, Parameter(help="A picture (.png), values (.npy), or a grid for ParaView (.vti, .vtp).")]
+
+
+def _read(source: str, text: bool) -> Curve:
+    """The curve a user names on the command line."""
+    if text:
+        return ng.Curve.from_text(source)
+    if source.lower().endswith(".npy"):
+        if not Path(source).is_file():
+            raise ValueError(f"source: expected an existing file, got {source!r}")
+        points = np.load(source, allow_pickle=False)
+        return ng.Curve.polyline(points, closed=bool(len(points) > 2 and (points[0] == points[-1]).all()))
+    return ng.Curve.from_svg(source)
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=error_console, transient=True)
+
+
+def _field(
+    curve: Curve,
+    answer: Callable[[Any], Any],
+    out: Path,
+    resolution: int,
+    name: str,
+    signed: bool,
+) -> None:
+    """Evaluate a field on a grid around the curve, band by band under a progress bar, and save it."""
+    from nqr_geom.pictures import Window, save_field
+
+    check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
+    window = Window.around(curve.bounds, resolution)
+    bands = np.array_split(window.points, max(1, len(window.points) // 16384))
+    with _progress() as progress:
+        values = [answer(band) for band in progress.track(bands, description=name)]
+    path = save_field(out, curve, window, np.concatenate(values), name=name, signed=signed)
+    out_console.print(f"{curve!r}: wrote {path}", highlight=False)
+
+
+@app.command
+def gwn(
+    source: Source,
+    *,
+    text: Text = False,
+    method: Method = "exact",
+    samples: Samples = 32,
+    resolution: Resolution = 256,
+    seed: Seed = 0,
+    out: Out = Path("gwn.png"),
+) -> None:
+    """Draw the generalised winding number of a curve."""
+    curve = _read(source, text)
+
+    def answer(points: Any) -> Any:
+        return ng.gwn(curve, points, method=method, n=samples, seed=seed)
+
+    _field(curve, answer, out, resolution, "winding number", signed=True)
+
+
+@app.command
+def sd(
+    source: Source,
+    *,
+    text: Text = False,
+    alpha: Annotated[float, Parameter(help="Sharpness in units of one over the curve's size.")] = 35.0,
+    method: Method = "exact",
+    samples: Samples = 32,
+    resolution: Resolution = 256,
+    seed: Seed = 0,
+    out: Out = Path("sd.png"),
+) -> None:
+    """Draw the smoothed distance to a curve."""
+    curve = _read(source, text)
+    xmin, ymin, xmax, ymax = curve.bounds
+    sharpness = alpha / (0.5 * max(xmax - xmin, ymax - ymin) or 1.0)
+
+    def answer(points: Any) -> Any:
+        return ng.sd(curve, points, alpha=sharpness, method=method, n=samples, seed=seed)
+
+    _field(curve, answer, out, resolution, "smoothed distance", signed=False)
+
+
+@app.command
+def distance(
+    source: Source,
+    *,
+    text: Text = False,
+    signed: Annotated[bool, Parameter(help="Negative inside (non-zero winding).")] = False,
+    resolution: Resolution = 256,
+    out: Out = Path("distance.png"),
+) -> None:
+    """Draw the distance to a curve."""
+    curve = _read(source, text)
+    answer = ng.signed_distance if signed else ng.distance
+    _field(curve, lambda points: answer(curve, points), out, resolution, "distance", signed=signed)
+
+
+def _measure(problem: Any, methods: Sequence[str] | None, budgets: Sequence[int], runs: int) -> Frontier:
+    with _progress() as progress:
+        task = progress.add_task("measuring")
+
+        def tick(done: int, total: int, label: str) -> None:
+            progress.update(task, completed=done, total=total, description=label)
+
+        return ng.frontier(problem, methods, budgets, runs=runs, tick=tick)
+
+
+def _show(measured: Frontier, title: str) -> None:
+    """Error against time as a table, one line a method and budget."""
+    table = Table(title=title)
+    for column, justify in (
+        ("method", "left"),
+        ("n", "right"),
+        ("us / query", "right"),
+        ("mean squared error", "right"),
+        ("95% interval", "right"),
+        ("x plain MC", "right"),
+    ):
+        table.add_column(column, justify=justify)  # type: ignore[arg-type]
+    for point in measured.points:
+        low, high = point.mse_interval
+        ratio = "" if point.ratio is None else f"{point.ratio:.3g}"
+        table.add_row(
+            point.method,
+            str(point.n) if point.n else "",
+            f"{1e6 * point.seconds:.3g}",
+            f"{point.mse:.2e}",
+            f"{low:.1e} .. {high:.1e}",
+            ratio,
+        )
+    out_console.print(table)
+
+
+@app.command
+def frontier(
+    problem: Annotated[str, Parameter(help="A random family: toy, gwn or sd.")] = "gwn",
+    *,
+    input: Annotated[str | None, Parameter(help="Measure on your own curve instead (SVG, path data, .npy).")] = None,
+    text: Text = False,
+    methods: Annotated[list[str] | None, Parameter(help="Methods to compare; all that fit by default.")] = None,
+    budgets: Annotated[list[int] | None, Parameter(help="Samples per integral.")] = None,
+    shapes: Annotated[int, Parameter(help="Shapes (or toy integrands) of the random family.")] = 8,
+    runs: Annotated[int, Parameter(help="Independent runs a point.")] = 16,
+    out: Annotated[Path | None, Parameter(help="A chart (.png) or all figures (.json).")] = None,
+) -> None:
+    """Measure error against samples and time for every method on this machine."""
+    check.choice("problem", problem, [entry.name for entry in registry.entries("problem")])
+    if out is not None:
+        check.choice("out", out.suffix.lower(), [".png", ".json"])
+    if input is not None:
+        from nqr_geom.pictures import Window
+
+        if problem == "toy":
+            raise ValueError("problem: expected gwn or sd for a curve of your own, got 'toy'")
+        curve = _read(input, text)
+        made = getattr(ng.problems, problem)(curve, Window.around(curve.bounds, 32).points)
+    else:
+        family = registry.entry("problem", problem).load()
+        size = {} if problem == "toy" else {"resolution": 24}
+        made = family.family(check.integer("shapes", shapes, low=1), **size)  # type: ignore[attr-defined]
+    measured = _measure(made, methods, budgets or [8, 16, 32, 64], runs)
+    _show(measured, f"{problem}: error against time")
+    if out is not None:
+        measured.plot(out) if out.suffix.lower() == ".png" else measured.to_json(out)
+        out_console.print(f"wrote {out}", highlight=False)
+
+
+@app.command
+def demo(
+    *,
+    out: Annotated[Path, Parameter(help="Folder for the pictures.")] = Path("demo-out"),
+    resolution: Resolution = 400,
+) -> None:
+    """Winding numbers of a shipped SVG, smoothed distances of a text, and an error-against-time table."""
+    from importlib.resources import as_file, files
+
+    from nqr_geom.pictures import Window
+
+    with as_file(files("nqr_geom") / "data" / "fish.svg") as path:
+        gwn(str(path), resolution=resolution, out=out / "gwn-fish.png")
+        fish = ng.Curve.from_svg(path)
+    sd("nqr", text=True, resolution=resolution, out=out / "sd-text.png")
+    problem = ng.problems.gwn(fish, Window.around(fish.bounds, 24).points)
+    pieces = 2 * fish.n_pieces
+    measured = _measure(problem, ["mc", "stratified", "trapezoid", "structured"], [pieces, 2 * pieces, 4 * pieces], 8)
+    _show(measured, f"winding number of the fish ({fish.n_pieces} pieces): error against time")
+    chart = measured.plot(out / "error-against-time.png")
+    out_console.print(f"wrote {chart}", highlight=False)
+
+
+@app.command(name="list")
+def list_(kind: Annotated[str, Parameter(help="sampler, rule, problem or model.")] = "rule") -> None:
+    """List what there is: samplers, rules, problems or models."""
+    table = Table()
+    for column in ("name", "what it does", "exact on", "dimensions"):
+        table.add_column(column)
+    for entry in registry.entries(kind):
+        table.add_row(entry.name, entry.summary, entry.exact if kind == "rule" else "", entry.dims)
+    out_console.print(table)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; bad input gives one clear line and exit code 2."""
+    try:
+        app(arguments, exit_on_error=False, print_error=True)
+    except CycloptsError:
+        return 2
+    except (ValueError, TypeError, ImportError, OSError) as error:
+        error_console.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
