@@ -1,0 +1,49 @@
+"""Run a compiled kernel over rows of queries on all cores the process may use."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nqr_geom.curves.tree import morton
+
+__all__ = ["cores", "over_rows", "spatial_order"]
+
+_ROWS_A_CHUNK = 1024  # about 0.2 ms and more of work: far above the cost of handing a chunk to a thread
+
+
+def cores() -> int:
+    """Threads to use: the process's share of the machine, or fewer if NUMBA_NUM_THREADS says so."""
+    share = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get("NUMBA_NUM_THREADS", "")
+    return min(share, int(limit)) if limit.isdigit() and int(limit) > 0 else share
+
+
+def over_rows(kernel: Callable[[int, int], None], count: int) -> None:
+    """Call ``kernel(start, stop)`` on chunks that cover range(count).
+
+    Kernels release the GIL, so plain threads scale. Numba's own parallel loops are not used: their runtimes forbid
+    either concurrent calls from two threads or a later fork, and a library cannot know which of them its user does.
+    Rows are answered one by one, so the chunks change nothing in the numbers.
+    """
+    workers = min(cores(), -(-count // _ROWS_A_CHUNK))
+    if workers <= 1:
+        if count:
+            kernel(0, count)
+        return
+    edges = np.linspace(0, count, max(4 * workers, 1) + 1).astype(np.int64)  # uneven work levels out
+    first = int(edges[1])
+    kernel(0, first)  # compiles, if need be, before the threads start
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(kernel, edges[1:-1].tolist(), edges[2:].tolist()))
+
+
+def spatial_order(points: NDArray[np.float64], nodes: int) -> NDArray[np.int64] | None:
+    """An order of the queries along a Morton curve where it pays: many queries, a tree larger than the cache."""
+    if nodes < 20_000 or len(points) < 1_000:
+        return None
+    return np.argsort(morton(points))
