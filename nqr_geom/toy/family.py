@@ -17,8 +17,9 @@ import torch
 from torch import Tensor
 
 from nqr_geom.streams import Stream
+from nqr_geom.toy.law import propagate, stumpff
 
-__all__ = ["PIECES", "Pieces", "Shape", "draw", "stumpff"]
+__all__ = ["PIECES", "Pieces", "Shape", "draw"]
 
 PIECES = 5
 
@@ -45,40 +46,16 @@ class Shape:
         Ranges of omega and A of a trigonometric piece, both uniform.
     """
 
-    shortest: float = 0.03
-    linear: float = 1.0 / 3.0
-    quadratic: float = 1.0 / 3.0
-    level: float = 1.8
-    level_spread: float = 0.5
-    band: float = 1.0
-    jump: float = 0.6
-    bulge: float = 1.0
-    frequency: tuple[float, float] = (20.0, 80.0)
-    amplitude: tuple[float, float] = (0.7, 1.5)
-
-
-def stumpff(alpha: Tensor, t: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Stumpff functions c_k(alpha t^2) = sum_j (-alpha t^2)^j / (k + 2j)! for k = 0..3, with alpha >= 0.
-
-    f(t) = f(0) + f'(0) t c1 + f''(0) t^2 c2 solves f'' + alpha f = const; its derivative is f'(0) c0 + f''(0) t c1, its
-    integral from 0 is f(0) t + f'(0) t^2 c2 + f''(0) t^3 c3.
-
-    Examples
-    --------
-    >>> one = torch.tensor(1.0, dtype=torch.float64)
-    >>> [round(c.item(), 4) for c in stumpff(0 * one, one)]
-    [1.0, 1.0, 0.5, 0.1667]
-    """
-    half = 0.5 * alpha.sqrt() * t
-    sine, cosine = half.sin(), half.cos()
-    small = half.abs() < 0.02
-    safe = torch.where(small, 1.0, half)
-    z = 4.0 * half * half
-    sinc = torch.where(small, 1.0 - z / 24.0 * (1.0 - z / 80.0), sine / safe)
-    c1 = sinc * cosine
-    # (1 - c1) / z cancels for small z, where three terms of the series are exact to rounding.
-    c3 = torch.where(small, 1.0 / 6.0 - z / 120.0 * (1.0 - z / 42.0), (1.0 - c1) / (4.0 * safe * safe))
-    return cosine * cosine - sine * sine, c1, 0.5 * sinc * sinc, c3
+    shortest: float = 0.1
+    linear: float = 0.25
+    quadratic: float = 0.4
+    level: float = 1.9
+    level_spread: float = 0.3
+    band: float = 0.5
+    jump: float = 0.5
+    bulge: float = 2.25
+    frequency: tuple[float, float] = (5.0, 110.0)
+    amplitude: tuple[float, float] = (0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -108,20 +85,17 @@ class Pieces:
         value, slope, curvature, alpha = (
             tensor.gather(1, piece) for tensor in (self.value, self.slope, self.curvature, self.alpha)
         )
-        c0, c1, c2, _ = stumpff(alpha, t)
-        return value + t * (slope * c1 + t * curvature * c2), slope * c0 + t * curvature * c1, piece
+        return *propagate(alpha, t, value, slope, curvature), piece
 
     def integral(self) -> Tensor:
         """Exact integral over [0, 1], (B,)."""
         t = self.edges.diff(dim=1)
-        _, _, c2, c3 = stumpff(self.alpha, t)
+        _, _, c2, c3, _ = stumpff(self.alpha * t * t)
         return (t * (self.value + t * (self.slope * c2 + t * self.curvature * c3))).sum(dim=1)
 
     def jumps(self) -> Tensor:
         """Right minus left limit at each break, (B, 4)."""
-        t = self.edges.diff(dim=1)
-        _, c1, c2, _ = stumpff(self.alpha, t)
-        end = self.value + t * (self.slope * c1 + t * self.curvature * c2)
+        end, _ = propagate(self.alpha, self.edges.diff(dim=1), self.value, self.slope, self.curvature)
         return self.value[:, 1:] - end[:, :-1]
 
     def take(self, index: slice | Tensor) -> Pieces:
