@@ -161,6 +161,8 @@ def test_ends_of_pieces_are_control_points_bit_for_bit():
     assert MIXED.sample(j / 15).tobytes() == MIXED.control[:, 0].tobytes()
     assert MIXED.sample((j + 1) / 15, piece=j).tobytes() == MIXED.control[:, 3].tobytes()
     assert MIXED.sample(1.0).tobytes() == MIXED.control[14, 3].tobytes()
+    far = Curve.bezier([[[1e17, 0.1], [3.0, 0.3]]]) + Curve.bezier([[[3.0, 0.3], [-1e17, 7.0], [0.7, 0.1]]])
+    assert (far.sample([0.5, 0.5, 1.0], piece=[0, 1, 1]) == [[3.0, 0.3], [3.0, 0.3], [0.7, 0.1]]).all()
 
 
 def test_shapes_follow_s():
