@@ -61,6 +61,7 @@ class Entry:
 _SAMPLERS = "nqr_geom.integrator.samplers:"
 _RULES = "nqr_geom.integrator.rules:"
 _CURVES = "nqr_geom.curves."
+_TOY = "nqr_geom.toy."
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (
@@ -83,6 +84,14 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             "piece ends and middles, then the gap that matters most to the query",
             dims="1",
             needs="curves",
+            adaptive=True,
+        ),
+        Entry(
+            "toy-split",
+            _TOY + "split:ToySplit",
+            "a few stratified points, then bisection of the worst gap",
+            dims="1",
+            needs="toy",
             adaptive=True,
         ),
     ),
@@ -144,6 +153,15 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="control",
         ),
         Entry(
+            "toy-hermite",
+            _TOY + "structured:ToyHermite",
+            "exact inside smooth pieces, posterior mean over hidden breaks",
+            exact="constants",
+            linear=False,
+            dims="1",
+            needs="toy",
+        ),
+        Entry(
             "balance-heuristic",
             _RULES + "BalanceHeuristic",
             "multiple importance sampling",
@@ -169,7 +187,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
         ),
     ),
     "problem": (
-        Entry("toy", "nqr_geom.toy.problem:ToyProblem", "piecewise smooth functions with hidden breaks", dims="1"),
+        Entry("toy", _TOY + "problem:ToyProblem", "piecewise smooth functions with hidden breaks", dims="1"),
         Entry("gwn", _CURVES + "problems:GwnProblem", "generalised winding number of a curve", dims="1"),
         Entry("sd", _CURVES + "problems:SdProblem", "smoothed distance to a curve", dims="1"),
     ),
@@ -180,6 +198,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
 ALIASES: dict[str, str] = {
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
+    "toy:structured": "toy-split+toy-hermite",
     "mc": "random+mc",
     "stratified": "stratified+mc",
     "trapezoid": "stratified+trapezoid",

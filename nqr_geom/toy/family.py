@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from nqr_geom.integrator.sums import row_sum
 from nqr_geom.streams import Stream
 from nqr_geom.toy.law import propagate, stumpff
 
@@ -91,7 +92,7 @@ class Pieces:
         """Exact integral over [0, 1], (B,)."""
         t = self.edges.diff(dim=1)
         _, _, c2, c3, _ = stumpff(self.alpha * t * t)
-        return (t * (self.value + t * (self.slope * c2 + t * self.curvature * c3))).sum(dim=1)
+        return row_sum(t * (self.value + t * (self.slope * c2 + t * self.curvature * c3)))
 
     def jumps(self) -> Tensor:
         """Right minus left limit at each break, (B, 4)."""

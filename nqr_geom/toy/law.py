@@ -6,12 +6,13 @@ it is known everywhere from f, f' and f'' at one point, through the Stumpff func
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-__all__ = ["Law", "fit", "propagate", "stumpff"]
+__all__ = ["Law", "fit", "fit_pairs", "propagate", "stumpff"]
 
 
 def stumpff(z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -134,3 +135,51 @@ def fit(x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, pieces: int) -> 
     wrong = total(torch.cat([torch.zeros_like(x[:, :1]), off.to(x.dtype)], dim=1))
     known = ((wrong < 0.5) & (count > 1.5)).gather(1, piece)
     return Law(alpha, curvature, known)
+
+
+def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, highest: float) -> Law:
+    """Fill in the law of pieces with two samples, where these are closer than the shortest period.
+
+    A wave's values and slopes at distance h obey h (f0' + f1') / (f1 - f0) = theta cot(theta / 2), theta = omega h. The
+    right side falls from 2 to -infinity over one period, so that bisection finds the only root.
+
+    Parameters
+    ----------
+    law : Law
+        What `fit` found.
+    x, value, slope : Tensor, (B, N), float64
+        Positions in rising order, f and f' there.
+    piece : Tensor, (B, N), int64
+        Piece of each sample.
+    highest : float
+        Largest omega there is.
+
+    Returns
+    -------
+    Law
+    """
+    same = piece[:, 1:] == piece[:, :-1]
+    none = torch.zeros_like(same[:, :1])
+    pair = same & ~torch.cat([same[:, 1:], none], dim=1) & ~torch.cat([none, same[:, :-1]], dim=1)
+    pair = pair & ~law.known[:, 1:] & (x.diff(dim=1) * highest < 2.0 * math.pi) & (value.diff(dim=1) != 0.0)
+    row, left = torch.nonzero(pair, as_tuple=True)
+    right = left + 1
+    h = x[row, right] - x[row, left]
+    rise = value[row, right] - value[row, left]
+    ratio = h * (slope[row, left] + slope[row, right]) / rise
+    low, high = torch.zeros_like(h), torch.full_like(h, 2.0 * math.pi)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        above = middle / torch.tan(0.5 * middle) > ratio
+        low, high = torch.where(above, middle, low), torch.where(above, high, middle)
+    omega = 0.5 * (low + high) / h
+    found = (ratio < 2.0) & (omega <= highest)
+    row, left, right, rise, alpha = row[found], left[found], right[found], rise[found], omega[found] ** 2
+    energy = slope[row, right] ** 2 - slope[row, left] ** 2
+    gamma = 0.5 * (energy / rise + alpha * (value[row, right] + value[row, left]))
+    result = Law(law.alpha.clone(), law.curvature.clone(), law.known.clone())
+    for index in (left, right):
+        result.alpha[row, index] = alpha
+        result.curvature[row, index] = gamma - alpha * value[row, index]
+        result.known[row, index] = True
+    return result

@@ -1,0 +1,166 @@
+"""A sampler for pieces with hidden breaks: always split the gap that leaves the largest expected squared error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from nqr_geom.integrator.problem import Observation, Problem, Samples
+from nqr_geom.integrator.samplers import Sampler, Stratified
+from nqr_geom.streams import Stream
+from nqr_geom.toy.family import PIECES, Shape
+
+__all__ = ["ToySplit"]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Samples in the order of placement, after two columns for the ends of [0, 1]; tables of shape (B, n + 2).
+
+    `settled` counts what determines the law of each piece, (B, PIECES + 1): from 3 on its smooth gaps are exact. The
+    last column belongs to gaps with breaks and stays 0.
+    """
+
+    x: Tensor
+    value: Tensor
+    slope: Tensor
+    piece: Tensor
+    settled: Tensor
+
+    @classmethod
+    def empty(cls, like: Tensor, n: int) -> _Seen:
+        """Room for n samples a row, on the device of `like` (B, ...)."""
+        real = like.new_zeros(3, like.shape[0], n + 2)
+        real[0, :, 1] = 1.0
+        piece = torch.zeros_like(real[0], dtype=torch.int64)
+        piece[:, 1] = PIECES - 1
+        return cls(*real, piece, like.new_zeros(like.shape[0], PIECES + 1))
+
+    def enter(self, at: int, x: Tensor, look: Observation) -> None:
+        """Put samples x (B, k) into columns at, at + 1, ..."""
+        columns = slice(at, at + x.shape[1])
+        self.x[:, columns] = x
+        self.value[:, columns] = look.value[..., 0, 0]
+        self.slope[:, columns] = look.features["derivative"][..., 0, 0]
+        self.piece[:, columns] = look.features["piece"][..., 0, 0]
+        self.settled.scatter_add_(1, self.piece[:, columns], torch.ones_like(x))
+
+
+@dataclass(frozen=True)
+class _Gaps:
+    """The gaps between neighbouring samples: tables of shape (B, n + 1).
+
+    `left` and `right` are columns of `_Seen`; `score` is the expected squared error of the integral over the gap,
+    `idle` what remains of it once the law of `piece` is settled.
+    """
+
+    left: Tensor
+    right: Tensor
+    piece: Tensor
+    score: Tensor
+    idle: Tensor
+
+    @classmethod
+    def empty(cls, like: Tensor, n: int) -> _Gaps:
+        """Room for n + 1 gaps a row."""
+        index = torch.zeros(3, like.shape[0], n + 1, dtype=torch.int64, device=like.device)
+        return cls(*index, *like.new_zeros(2, like.shape[0], n + 1))
+
+
+@dataclass(frozen=True)
+class ToySplit(Sampler):
+    """A few stratified samples, then bisection of the gap with the largest expected squared error.
+
+    A gap with a hidden break of jump J and width h leaves J^2 h^2 / 12. A smooth gap leaves nothing once its piece has
+    three samples (two, if they agree with a parabola); before, it counts by how far it is from a parabola. The first
+    samples are random, the others follow from what was seen, so there is no density.
+
+    Parameters
+    ----------
+    first : int
+        Stratified samples at the start, >= 1.
+    shape : Shape
+        What is known of the family: size of jumps and spread of values.
+
+    References
+    ----------
+    Section 5 of the paper, whose network learns to sample next to the breaks (Fig. 16).
+
+    Examples
+    --------
+    >>> from nqr_geom.toy.problem import ToyProblem
+    >>> samples = ToySplit().draw(ToyProblem(2), 32, Stream(0))
+    >>> samples.x.shape, samples.pdf is None
+    (torch.Size([2, 32, 1]), True)
+    """
+
+    first: int = 6
+    shape: Shape = field(default_factory=Shape)
+
+    name = "toy-split"
+
+    def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
+        missing = {"derivative", "piece"} - set(problem.schema.names)
+        if problem.dim != 1 or missing:
+            raise ValueError(
+                f"sampler: {self.name!r} needs a 1-D problem with the features 'derivative' and 'piece', "
+                f"{problem.name!r} has {problem.dim} dimensions and {', '.join(problem.schema.names) or 'no features'}"
+            )
+        first = min(n, self.first)
+        x = Stratified().points(problem.rows, first, 1, stream)
+        looks = [problem.evaluate(x)]
+        seen, gaps = _Seen.empty(x, n), _Gaps.empty(x, n)
+        seen.enter(2, x[..., 0], looks[0])
+        column = torch.tensor([0, *range(2, first + 2), 1], device=x.device).expand(problem.batch, first + 2)
+        self._fill(seen, gaps, slice(0, first + 1), column[:, :-1], column[:, 1:])
+        row = torch.arange(problem.batch, device=x.device)[:, None]
+        for placed in range(first, n):
+            open_gaps = slice(0, placed + 1)
+            settled = seen.settled.gather(1, gaps.piece[:, open_gaps]) > 2.5
+            score = torch.where(settled, gaps.idle[:, open_gaps], gaps.score[:, open_gaps])
+            gap = score.argmax(dim=1, keepdim=True)
+            left, right = gaps.left[row, gap], gaps.right[row, gap]
+            new = 0.5 * (seen.x[row, left] + seen.x[row, right])
+            looks.append(problem.evaluate(new[..., None]))
+            seen.enter(placed + 2, new, looks[-1])
+            middle = torch.full_like(left, placed + 2)
+            target = torch.cat([gap, torch.full_like(gap, placed + 1)], dim=1)
+            self._fill(seen, gaps, (row, target), torch.cat([left, middle], dim=1), torch.cat([middle, right], dim=1))
+        return Samples(seen.x[:, 2:, None], _joined(looks), None, self.name)
+
+    def _fill(
+        self, seen: _Seen, gaps: _Gaps, where: slice | tuple[Tensor, Tensor], left: Tensor, right: Tensor
+    ) -> None:
+        """Write the gaps between columns `left` and `right` (B, k) of the samples into the table."""
+        at = where if isinstance(where, tuple) else (slice(None), where)
+        h = seen.x.gather(1, right) - seen.x.gather(1, left)
+        piece = seen.piece.gather(1, left)
+        breaks = seen.piece.gather(1, right) - piece
+        inside = (left >= 2) & (right >= 2)
+        slope_left, slope_right = seen.slope.gather(1, left), seen.slope.gather(1, right)
+        rise = seen.value.gather(1, right) - seen.value.gather(1, left)
+        off = rise - 0.5 * h * (slope_left + slope_right)
+        spread = (2.0 * self.shape.jump) ** 2
+        jump = torch.where(inside, off * off, spread).clamp_max(2.0 * spread) + 0.25 * self.shape.jump**2
+        # An end that no sample marks is continued from one sample: its tangent's rise is what may be wrong.
+        tangent = ((slope_left + slope_right) * h).square().clamp_max(spread)
+        bent = torch.where(inside, off * off, tangent) / 12.0
+        broken = jump / 12.0 * breaks
+        parabola = (
+            inside & (breaks == 0) & (off.abs() <= 1e-9 * (rise.abs() + h * (slope_left.abs() + slope_right.abs())))
+        )
+        seen.settled.scatter_add_(1, piece, 3.0 * parabola.to(h.dtype))
+        gaps.left[at], gaps.right[at] = left, right
+        gaps.piece[at] = torch.where(breaks == 0, piece, PIECES)
+        gaps.score[at] = h * h * torch.where(breaks == 0, bent, broken)
+        gaps.idle[at] = 1e-12 * h * h
+
+
+def _joined(looks: list[Observation]) -> Observation:
+    """All looks as one, in order."""
+    features = {name: torch.cat([look.features[name] for look in looks], dim=1) for name in looks[0].features}
+    return Observation(
+        torch.cat([look.value for look in looks], dim=1), features, queries=sum(look.queries for look in looks)
+    )
