@@ -45,7 +45,7 @@ class ClosestPoint(NamedTuple):
     t: NDArray[np.float64]
 
 
-class _Search(NamedTuple):
+class Search(NamedTuple):
     """Raw answer in the tree's units: arc, its parameter and the squared distance of every query."""
 
     framed: NDArray[np.float64]
@@ -54,8 +54,8 @@ class _Search(NamedTuple):
     square: NDArray[np.float64]
 
 
-def search(tree: CurveTree, points: NDArray[np.float64]) -> _Search:
-    """Closest arcs of checked points on all cores."""
+def search(tree: CurveTree, points: NDArray[np.float64], with_points: bool = True) -> Search:
+    """Closest arcs of checked points on all cores; without arcs of length zero if so wished."""
     framed = tree.to_frame(points, _FAR)
     order = spatial_order(framed, len(tree.clusters.skip))
     queries = framed if order is None else framed[order]
@@ -63,17 +63,17 @@ def search(tree: CurveTree, points: NDArray[np.float64]) -> _Search:
     square = np.empty(len(points))
 
     def rows(i: int, j: int) -> None:
-        closest_rows(*tree.clusters, *tree.arcs, queries[i:j], True, arc[i:j], u[i:j], square[i:j])
+        closest_rows(*tree.clusters, *tree.arcs, queries[i:j], with_points, arc[i:j], u[i:j], square[i:j])
 
     over_rows(rows, len(points))
     if order is None:
-        return _Search(framed, arc, u, square)
+        return Search(framed, arc, u, square)
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
-    return _Search(framed, arc[back], u[back], square[back])
+    return Search(framed, arc[back], u[back], square[back])
 
 
-def _feet(tree: CurveTree, found: _Search) -> NDArray[np.float64]:
+def feet(tree: CurveTree, found: Search) -> NDArray[np.float64]:
     """(m, 2) nearest points in the tree's units; ends of arcs bit for bit."""
     arcs, u = tree.arcs, found.u[:, None]
     c = arcs.coefficients[found.arc]
@@ -124,20 +124,20 @@ def closest_point(curve: Curve, points: ArrayLike) -> ClosestPoint:
     """
     tree, points = _checked(curve, points)
     found = search(tree, points)
-    point = np.ldexp(_feet(tree, found), tree.exponent)
+    point = np.ldexp(feet(tree, found), tree.exponent)
     t0, t1 = tree.interval[found.arc].T
     t = np.where(found.u == 1.0, t1, t0 + found.u * (t1 - t0))
-    return ClosestPoint(point, _distances(tree, found, points, point), tree.piece[found.arc], t)
+    return ClosestPoint(point, distances(tree, found, points), tree.piece[found.arc], t)
 
 
-def _distances(
-    tree: CurveTree, found: _Search, points: NDArray[np.float64], point: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def distances(tree: CurveTree, found: Search, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distances in the curve's units; from the coordinates themselves where the query was drawn in."""
     far = np.abs(found.framed).max(axis=1, initial=0.0) >= _FAR
     with np.errstate(over="ignore", under="ignore"):
         result = np.ldexp(np.sqrt(found.square), tree.exponent)
-        result[far] = np.hypot(*(points[far] - point[far]).T)
+        if far.any():
+            rows = Search(*(field[far] for field in found))
+            result[far] = np.hypot(*(points[far] - np.ldexp(feet(tree, rows), tree.exponent)).T)
     if not np.isfinite(result).all():
         row = int(np.flatnonzero(~np.isfinite(result))[0])
         raise ValueError(f"points: expected a distance below 1.8e308, got {points[row].tolist()} at row {row}")
@@ -155,7 +155,7 @@ def distance(curve: Curve, points: ArrayLike) -> NDArray[np.float64]:
     """
     tree, points = _checked(curve, points)
     found = search(tree, points)
-    return _distances(tree, found, points, np.ldexp(_feet(tree, found), tree.exponent))
+    return distances(tree, found, points)
 
 
 def signed_distance(curve: Curve, points: ArrayLike, sign: str = "nonzero") -> NDArray[np.float64]:
@@ -235,7 +235,7 @@ def distance_gradient(curve: Curve, points: ArrayLike) -> NDArray[np.float64]:
     """
     tree, points = _checked(curve, points)
     found = search(tree, points)
-    away = found.framed - _feet(tree, found)
+    away = found.framed - feet(tree, found)
     # Close to the inside of an arc the difference is mostly rounding, and the normal is not.
     c, u = tree.arcs.coefficients[found.arc], found.u[:, None]
     tangent = c[:, 0] + u * (2.0 * c[:, 1] + u * 3.0 * c[:, 2])
