@@ -1,0 +1,1 @@
+"""Learned quadrature: tokens, the integration network, its training and the models that ship."""

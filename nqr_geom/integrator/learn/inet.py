@@ -1,0 +1,195 @@
+"""The integration network: a bidirectional transformer that corrects a base rule (Section 4, Fig. 7).
+
+F = a + (1/N) sum (W_i + dW_i) f_i + (1/N) sum o_i, where W and a are the base rule's. The heads start at zero, so an
+untrained network is its base rule bit for bit; with the base "mc" and no offset it is the paper's Eq. 1, with the
+offset Eq. 52. The network works in float32, the combination in float64.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, sort_samples, standard, tokenize
+from nqr_geom.integrator.problem import Samples
+from nqr_geom.integrator.rules import Combination, Rule
+from nqr_geom.integrator.sums import row_mean
+
+__all__ = ["INet", "INetConfig", "LearnedRule", "correct"]
+
+TILE_TOKENS = 256 * 32  # float32 products change with the batch size, so a network always sees this many tokens
+_LOG_RANGE = 30.0
+
+
+@dataclass(frozen=True)
+class INetConfig:
+    """Architecture; 3 layers of 64 hold 0.16 M parameters, 0.6 MB.
+
+    Parameters
+    ----------
+    tokens : TokenConfig
+        What the network reads.
+    layers, width, heads, expansion : int
+        Transformer blocks, channels of a token, attention heads, and hidden width of an MLP over `width`.
+    weights : {"relative", "additive"}
+        How a weight is corrected. "additive" is the plain form, W = base + h. "relative" is W = base e^g + h c with
+        c = min(1, unit / |f|): a weight at a near singularity of f can become as small as 1/f without the network
+        having to hit it to that accuracy, and what h adds to an estimate is bounded.
+    offset : bool
+        Whether there is an offset head, in the row's unit.
+    unit_mass : bool
+        Take the mean out of the correction, so that constants are integrated as by the base rule.
+    doubtful_only : bool
+        Correct only the integrals that the base rule itself flags, where it is exact or nearly so elsewhere.
+    """
+
+    tokens: TokenConfig = field(default_factory=TokenConfig)
+    layers: int = 3
+    width: int = 64
+    heads: int = 2
+    expansion: int = 3
+    weights: Literal["relative", "additive"] = "relative"
+    offset: bool = False
+    unit_mass: bool = False
+    doubtful_only: bool = False
+
+    @property
+    def outputs(self) -> int:
+        """Numbers a token gives: for each channel g (if weights are relative), h, and o (if there is an offset)."""
+        return self.tokens.channels * ((2 if self.weights == "relative" else 1) + self.offset)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for a model card; `from_dict` is its inverse."""
+        return {**asdict(self), "tokens": self.tokens.to_dict()}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> INetConfig:
+        """The configuration that `to_dict` wrote."""
+        return cls(**{**data, "tokens": TokenConfig.from_dict(data["tokens"])})
+
+
+class Block(nn.Module):
+    """Pre-norm transformer block with plain attention: on CPUs it is faster than the fused kernel at these sizes."""
+
+    def __init__(self, width: int, heads: int, expansion: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.qkv = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+        self.up = nn.Linear(width, expansion * width)
+        self.down = nn.Linear(expansion * width, width)
+
+    def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
+        """x (B, L, E); bias (B, 1, 1, L) is 0 for tokens and -inf for padding."""
+        b, n, e = x.shape
+        qkv = self.qkv(self.norm1(x)).view(b, n, 3, self.heads, e // self.heads)  # (B, L, 3, H, E/H)
+        q, k, v = qkv.permute(2, 0, 3, 1, 4)  # (B, H, L, E/H) each
+        score = (q * (e // self.heads) ** -0.5) @ k.transpose(-1, -2)  # (B, H, L, L)
+        mix = (score if bias is None else score + bias).softmax(dim=-1).to(v.dtype)  # (B, H, L, L)
+        x = x + self.out((mix @ v).transpose(1, 2).reshape(b, n, e))  # (B, L, E)
+        return x + self.down(self.up(self.norm2(x)).relu())  # (B, L, E)
+
+
+class INet(nn.Module):
+    """Tokens (B, L, width) to the heads' raw outputs (B, L, outputs), zero before training.
+
+    Parameters
+    ----------
+    config : INetConfig
+        Architecture.
+    """
+
+    def __init__(self, config: INetConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.embed_in, self.embed_out = nn.Linear(config.tokens.width, 2 * width), nn.Linear(2 * width, width)
+        self.blocks = nn.ModuleList(Block(width, config.heads, config.expansion) for _ in range(config.layers))
+        self.norm = nn.LayerNorm(width)
+        self.head = nn.Linear(width, config.outputs)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+
+    def forward(self, tokens: Tensor, padding: Tensor | None = None) -> Tensor:
+        """Raw outputs; `padding` (B, L) is True where a token is to be ignored."""
+        x = self.embed_out(self.embed_in(tokens).relu())  # (B, L, E)
+        bias = None
+        if padding is not None:
+            bias = torch.zeros_like(padding, dtype=x.dtype).masked_fill(padding, -torch.inf)[:, None, None]
+        for block in self.blocks:
+            x = block(x, bias)  # (B, L, E)
+        return self.head(self.norm(x)).float()  # (B, L, outputs)
+
+
+def correct(raw: Tensor, base: Combination, samples: Samples, config: INetConfig) -> Combination:
+    """Apply raw outputs (B, N, T, outputs) to the base rule's combination, in float64.
+
+    Where all outputs are zero the result is the base rule's, bit for bit.
+    """
+    value, unit = standard(samples.value, config.tokens)
+    parts = list(raw.to(value.dtype).split(config.tokens.channels, dim=-1))
+    growth = parts.pop(0) if config.weights == "relative" else None  # g
+    change = parts.pop(0)  # h
+    weights = base.weights
+    if growth is not None:
+        # Not base + base expm1(g): beside a singularity the weight must be right relative to itself, not to 1.
+        weights = weights * torch.exp(growth.clamp(-_LOG_RANGE, 0.1 * _LOG_RANGE))
+        change = change * (unit / torch.maximum(value.abs(), unit))
+    if config.unit_mass:
+        change = change - row_mean(weights - base.weights + change)[:, None]
+    weights = weights + change
+    shift = row_mean((parts.pop(0) * unit).sum(dim=2)) if config.offset else None  # (B, C)
+    if config.doubtful_only and base.fallback is not None:
+        weights = torch.where(base.fallback[:, None, None, None], weights, base.weights)
+        shift = None if shift is None else torch.where(base.fallback[:, None], shift, 0.0)
+    offset = base.offset
+    if shift is not None and offset is not None:
+        offset = offset + (shift[:, None] if offset.ndim == 3 else shift)
+    elif shift is not None:
+        offset = shift
+    return replace(base, weights=weights, offset=offset)
+
+
+@dataclass(frozen=True)
+class LearnedRule(Rule):
+    """A base rule corrected by a network.
+
+    Parameters
+    ----------
+    net : INet
+        The network.
+    base : Rule
+        What it corrects.
+    extra : Extra, optional
+        Quantities of the application that its tokens hold.
+    """
+
+    net: INet
+    base: Rule
+    extra: Extra | None = None
+
+    name = "inet"
+
+    def combine(self, samples: Samples) -> Combination:
+        base = self.base.combine(samples)
+        ordered, order = sort_samples(samples)
+        tokens = tokenize(ordered, self.net.config.tokens, self.extra)  # (B, N, T, width)
+        b, n, t, width = tokens.shape
+        raw = self._in_tiles(tokens.view(b, n * t, width)).view(b, n, t, -1)
+        if order is not None:
+            raw = torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
+        return correct(raw, base, samples, self.net.config)
+
+    def _in_tiles(self, tokens: Tensor) -> Tensor:
+        """Run the network over tiles of a size that depends on the length alone; the last one is filled up."""
+        rows = max(1, TILE_TOKENS // tokens.shape[1])
+        parts = []
+        with torch.inference_mode():
+            for part in tokens.split(rows):
+                fill = part.new_zeros(rows - len(part), *part.shape[1:])
+                parts.append(self.net(torch.cat([part, fill]))[: len(part)])
+            return torch.cat(parts).clone()

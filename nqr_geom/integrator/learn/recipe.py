@@ -1,0 +1,122 @@
+"""What makes a model: a family of integrals with known answers, a base rule, a network, and how it is trained."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from nqr_geom import registry
+from nqr_geom.integrator.learn.inet import INetConfig
+from nqr_geom.integrator.learn.tokens import Extra
+from nqr_geom.integrator.problem import Link, LogLink, Problem, Samples
+from nqr_geom.integrator.rules import Rule
+from nqr_geom.streams import Stream
+
+__all__ = ["Batch", "Recipe", "draw_samples", "inner_answer"]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Integrals of a family with their answers.
+
+    Parameters
+    ----------
+    problem : Problem
+        B integrals.
+    answer : Tensor, (B, C), float64
+        True G(F).
+    """
+
+    problem: Problem
+    answer: Tensor
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How one model is made.
+
+    Parameters
+    ----------
+    name : str
+        Of the model.
+    problem : str
+        Name of the problem it is for.
+    family : callable
+        (rows (B,) int64, seed, split) to a Batch; a pure function of its arguments.
+    base : str
+        Registry name of the rule that the network corrects.
+    consistent : str
+        Registry name of the rule that the estimate tends to as N grows.
+    config : INetConfig
+        Network.
+    extra : Extra, optional
+        The application's own token quantities.
+    sizes : tuple of (int, float)
+        Numbers of samples and their shares of the iterations.
+    designs : tuple of str
+        Samplers; every batch is divided evenly among them.
+    huber : float
+        Errors beyond it count linearly instead of squared, so that one near singularity does not drown a batch.
+    inner, outer : float
+        Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
+    """
+
+    name: str
+    problem: str
+    family: Callable[[Tensor, int, str], Batch]
+    base: str
+    consistent: str
+    config: INetConfig
+    extra: Extra | None = None
+    sizes: tuple[tuple[int, float], ...] = ((32, 1.0),)
+    designs: tuple[str, ...] = ("random", "stratified")
+    huber: float = 1.0
+    inner: float = 0.2
+    outer: float = 0.8
+
+    def base_rule(self) -> Rule:
+        """The rule that the network corrects."""
+        rule: Rule = registry.make("rule", self.base)
+        return rule
+
+    def size(self, stream: Stream, iteration: int) -> int:
+        """Samples per integral of an iteration, drawn with the given shares."""
+        at = float(stream.uniform(torch.tensor(iteration)))
+        total = sum(share for _, share in self.sizes)
+        for n, share in self.sizes:
+            at -= share / total
+            if at < 0.0:
+                return n
+        return self.sizes[-1][0]
+
+
+def draw_samples(problem: Problem, designs: tuple[str, ...], n: int, stream: Stream) -> Samples:
+    """Samples of all integrals, each by the design that its global row modulo their number names.
+
+    The densities are those of uniform points; a network is told nothing of the design but the points themselves.
+    """
+    x = torch.empty(problem.batch, n, problem.dim, dtype=torch.float64, device=problem.rows.device)
+    for k, name in enumerate(designs):
+        part = problem.rows % len(designs) == k
+        x[part] = registry.make("sampler", name).points(problem.rows[part], n, problem.dim, stream)
+    pdf = x.new_ones(problem.batch, n, problem.techniques)
+    return Samples(x, problem.evaluate(x), pdf, "+".join(designs))
+
+
+def inner_answer(answer: Tensor, link: Link) -> Tensor:
+    """The inner integral F of a true answer G(F), (B, C)."""
+    if isinstance(link, LogLink):
+        return torch.exp(-link.alpha * (answer - link.shift))
+    if link.name == "identity":
+        return answer
+    raise ValueError(f"link: expected identity or log, got {link.name!r}")
+
+
+def training_link(link: Link, inner: Tensor, floor: float = 1e-8) -> Tensor:
+    """G of an estimate that may still be negative: the logarithm of its clamped absolute value (Eq. 56)."""
+    if isinstance(link, LogLink):
+        return replace(link, floor=floor)(inner.abs())
+    return link(inner)

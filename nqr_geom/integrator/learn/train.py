@@ -1,0 +1,287 @@
+"""Training the integration network by mean squared error on a family of integrals with known answers.
+
+Every iteration sees fresh integrals, keyed by a global counter in the split "train": none comes twice, none can be
+a test integral, and a run that was killed goes on as if it had not been. The learning rate warms up, stays, and decays
+at the end (so that a run can be continued from before its decay); an exponential average of the weights is what ships.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nqr_geom import check
+from nqr_geom.integrator.learn.inet import INet, INetConfig, correct
+from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
+from nqr_geom.integrator.learn.run import RunFolder
+from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
+from nqr_geom.integrator.problem import Samples
+from nqr_geom.streams import Stream
+
+__all__ = ["TrainConfig", "draw_batch", "learning_rate", "loss", "train"]
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How long and how fast.
+
+    Parameters
+    ----------
+    iterations : int
+        Of the whole run, those done before a continuation included.
+    batch : int
+        Integrals an iteration (over all devices).
+    rate : float
+        Highest learning rate.
+    warmup, decay : int
+        Iterations of the linear rise at the start and the linear fall to zero at the end; decay 0 leaves the run
+        open, to be continued.
+    clip : float
+        Largest norm of a gradient.
+    average : float
+        Decay of the exponential average of the weights.
+    weight_decay : float
+        AdamW's.
+    every : int
+        Iterations between checkpoints, each with a line of the loss curve.
+    validation : int
+        Integrals of the validation split that are measured then.
+    seed : int
+        Of initial weights and data.
+    """
+
+    iterations: int
+    batch: int = 256
+    rate: float = 2e-3
+    warmup: int = 500
+    decay: int = 0
+    clip: float = 1.0
+    average: float = 0.999
+    weight_decay: float = 0.01
+    every: int = 500
+    validation: int = 4096
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "batch", "every", "validation"):
+            check.integer(name, getattr(self, name), low=1)
+        for name in ("warmup", "decay"):
+            check.integer(name, getattr(self, name), low=0)
+        check.number("rate", self.rate, low=0.0, open_low=True)
+        check.number("average", self.average, low=0.0, high=1.0)
+
+
+def learning_rate(config: TrainConfig, iteration: int) -> float:
+    """Warm-up, stable, decay.
+
+    Examples
+    --------
+    >>> config = TrainConfig(iterations=100, warmup=10, decay=20, rate=1.0)
+    >>> [learning_rate(config, i) for i in (0, 50, 90)]
+    [0.1, 1.0, 0.5]
+    """
+    rise = min(1.0, (iteration + 1) / max(config.warmup, 1))
+    fall = min(1.0, (config.iterations - iteration) / config.decay) if config.decay else 1.0
+    return config.rate * rise * fall
+
+
+def draw_batch(recipe: Recipe, rows: Tensor, n: int, seed: int, split: str) -> tuple[Batch, Samples]:
+    """Integrals and samples of the global `rows` (B,), sorted along x in one dimension."""
+    batch = recipe.family(rows, seed, split)
+    samples = draw_samples(batch.problem, recipe.designs, n, Stream(seed, split, "samples"))
+    return batch, sort_samples(samples)[0]
+
+
+def _huber(error: Tensor, knee: float) -> Tensor:
+    """error^2 up to the knee, linear growth beyond (pseudo-Huber)."""
+    return 2.0 * knee**2 * (torch.sqrt(1.0 + (error / knee) ** 2) - 1.0)
+
+
+def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
+    """Mean (robust) squared error of the corrected rule over a batch, before and behind the link (Eqs. 53 to 56)."""
+    samples, link = batch.problem.finalize(samples)
+    tokens = tokenize(samples, recipe.config.tokens, recipe.extra)  # (B, N, T, width)
+    b, n, t, width = tokens.shape
+    raw = net(tokens.view(b, n * t, width)).view(b, n, t, -1)
+    inner = correct(raw, recipe.base_rule().combine(samples), samples, recipe.config).estimate(samples)
+    truth = inner_answer(batch.answer, link)
+    if link.name == "identity":
+        return _huber(inner - truth, recipe.huber).mean()
+    behind = _huber(training_link(link, inner) - batch.answer, recipe.huber).mean()
+    return recipe.inner * _huber(inner - truth, recipe.huber).mean() + recipe.outer * behind
+
+
+@torch.no_grad()
+def validate(recipe: Recipe, net: INet, config: TrainConfig) -> tuple[float, float]:
+    """Mean squared error of the network's rule and of its base on the validation split."""
+    errors = []
+    for rows in torch.arange(config.validation).split(1024):
+        batch, samples = draw_batch(recipe, rows, recipe.sizes[0][0], config.seed, "validation")
+        samples, link = batch.problem.finalize(samples)
+        tokens = tokenize(samples, recipe.config.tokens, recipe.extra).flatten(1, 2)
+        raw = net(tokens).view(*samples.value.shape[:3], -1)
+        base = recipe.base_rule().combine(samples)
+        pair = [link(c.estimate(samples)) for c in (correct(raw, base, samples, recipe.config), base)]
+        errors.append(torch.stack([(value - batch.answer).square().mean(dim=1) for value in pair]))
+    mine, theirs = torch.cat(errors, dim=1).mean(dim=1).tolist()
+    return mine, theirs
+
+
+def train(
+    recipe: Recipe,
+    out: str | Path,
+    config: TrainConfig,
+    *,
+    devices: int = 1,
+    num_nodes: int = 1,
+    accelerator: str = "cpu",
+    precision: str = "bf16-mixed",
+    progress: bool = True,
+) -> INet:
+    """Train a recipe's network, or go on with a run that was begun in the same folder.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What to train.
+    out : path
+        Folder of the run: `checkpoint.pt` (weights, average, optimiser), `loss.csv`, `loss.png`.
+    config : TrainConfig
+        How long and how fast. A continuation may change the length and the rates, not the batch or the seed.
+    devices, num_nodes, accelerator, precision
+        As for `lightning_fabric.Fabric`.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    INet
+        With the averaged weights.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds a run of another recipe, batch or seed.
+    """
+    fabric = _fabric(devices, num_nodes, accelerator, precision)
+    run = RunFolder(Path(out))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        net = INet(recipe.config)
+    average = INet(recipe.config)
+    average.load_state_dict(net.state_dict())
+    optimizer = torch.optim.AdamW(
+        net.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay, fused=True
+    )
+    state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
+    start, seconds = 0, 0.0
+    if state is not None:
+        _refuse_other_run(state, recipe, config)
+        net.load_state_dict(state["net"])
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        start, seconds = state["iteration"], state["seconds"]
+    model, stepper = fabric.setup(net, optimizer)
+    average.to(fabric.device)
+    weights: list[Tensor] = list(net.parameters())
+    averaged: list[Tensor] = list(average.parameters())
+    began, losses = time.monotonic() - seconds, []
+    sizes = Stream(config.seed, "train", "sizes")
+    with _Bar(progress and fabric.is_global_zero) as advance:
+        for iteration in range(start, config.iterations):
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate(config, iteration)
+            rows = torch.arange(iteration * config.batch, (iteration + 1) * config.batch, device=fabric.device)
+            rows = rows[fabric.global_rank :: fabric.world_size]
+            batch, samples = draw_batch(recipe, rows, recipe.size(sizes, iteration), config.seed, "train")
+            value = loss(recipe, model, batch, samples)
+            fabric.backward(value)
+            fabric.clip_gradients(model, stepper, max_norm=config.clip, error_if_nonfinite=False)
+            stepper.step()
+            stepper.zero_grad()
+            keep = min(config.average, (1 + iteration) / (10 + iteration))
+            with torch.no_grad():
+                torch._foreach_lerp_(averaged, weights, 1.0 - keep)
+            losses.append(value.detach())
+            done = iteration + 1
+            if (done % config.every == 0 or done == config.iterations) and fabric.is_global_zero:
+                seconds = time.monotonic() - began
+                mean = torch.stack(losses).mean().item()
+                losses = []
+                run.log((done, seconds, learning_rate(config, iteration), mean, *validate(recipe, average, config)))
+                run.save(
+                    {
+                        "identity": _identity(recipe, config),
+                        "train": json.dumps(asdict(config)),
+                        "iteration": done,
+                        "seconds": seconds,
+                        "net": net.state_dict(),
+                        "average": average.state_dict(),
+                        "optimizer": optimizer.state_dict(),
+                    }
+                )
+            advance(done, config.iterations, losses)
+    if fabric.is_global_zero:
+        run.plot()
+    return average
+
+
+def _fabric(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
+    """The launched Fabric; more than one process train by distributed data parallelism."""
+    module = check.require("lightning_fabric", "learn", "training runs")
+    strategy = "ddp" if devices * num_nodes > 1 else "auto"
+    fabric = module.Fabric(
+        accelerator=accelerator, devices=devices, num_nodes=num_nodes, precision=precision, strategy=strategy
+    )
+    fabric.launch()
+    return fabric
+
+
+def _identity(recipe: Recipe, config: TrainConfig) -> str:
+    """What must not change when a run is continued, as JSON."""
+    identity = {"recipe": recipe.name, "batch": config.batch, "seed": config.seed}
+    return json.dumps({**identity, "config": recipe.config.to_dict()})
+
+
+def _refuse_other_run(state: dict[str, Any], recipe: Recipe, config: TrainConfig) -> None:
+    """Raise unless the checkpoint belongs to this recipe, batch and seed."""
+    found, wanted = json.loads(state["identity"]), json.loads(_identity(recipe, config))
+    for name, want in wanted.items():
+        have = found[name]
+        # A configuration is compared as one, so that a run goes on when a field with a default is added.
+        same = INetConfig.from_dict(have) == recipe.config if name == "config" else have == want
+        if not same:
+            raise ValueError(f"out: expected a run with {name} {want}, found one with {have}")
+
+
+class _Bar:
+    """A rich progress bar, or none."""
+
+    def __init__(self, show: bool) -> None:
+        self.show = show
+
+    def __enter__(self) -> Callable[[int, int, list[Tensor]], None]:
+        if not self.show:
+            return lambda done, total, losses: None
+        from rich.progress import Progress, TimeRemainingColumn
+
+        self.progress = Progress(*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+        self.progress.start()
+        task = self.progress.add_task("training")
+
+        def advance(done: int, total: int, losses: list[Tensor]) -> None:
+            text = f"training, loss {losses[-1].item():.2e}" if losses else "training"
+            self.progress.update(task, completed=done, total=total, description=text)
+
+        return advance
+
+    def __exit__(self, *_: object) -> None:
+        if self.show:
+            self.progress.stop()

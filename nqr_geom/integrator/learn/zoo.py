@@ -1,0 +1,279 @@
+"""Models that ship: weights as safetensors beside a card, checked against each other, and kept within what they know.
+
+A model answers only for data like its family's: integrals outside the card's box get the consistent rule and are
+flagged. As N grows beyond training the answer fades from the network to the consistent rule (Appendix C.2), by shares
+that minimise the error on validation integrals, and where the share is 0 the network is not called.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nqr_geom import check, registry
+from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule
+from nqr_geom.integrator.learn.recipe import Recipe
+from nqr_geom.integrator.learn.tokens import Extra, sort_samples
+from nqr_geom.integrator.learn.train import draw_batch
+from nqr_geom.integrator.problem import Samples
+from nqr_geom.integrator.rules import Combination, Rule
+
+__all__ = ["Card", "Model", "fit_shares", "load", "measure_box", "save"]
+
+BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
+_BLEND_SAMPLES = 2**18  # validation samples spent on each size
+_LEAST_SHARE = 0.02  # below it the network is not worth its time
+_MARGIN = 0.02  # of the trained range, beyond either end
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a model is, where it comes from and what it may be used for.
+
+    Parameters
+    ----------
+    name, problem, base, consistent : str
+        Of the model; of its problem; registry names of the rule it corrects and of the one it fades to.
+    config : INetConfig
+        Architecture.
+    iterations, batch, seed : int
+        Of the training run.
+    hours : float
+        Wall time of it.
+    family : dict
+        Constants of the training family, and its splits.
+    low, high : tuple of float
+        Trained range of the application's checked quantities.
+    sizes, shares : tuple
+        At N = sizes[i] the network counts shares[i], the consistent rule the rest.
+    table : dict
+        Errors measured on test integrals, by the command in `command`.
+    command : str
+        What made the weights, and what measured them.
+    sha256 : str
+        Of the weights file.
+    """
+
+    name: str
+    problem: str
+    base: str
+    consistent: str
+    config: INetConfig
+    iterations: int
+    batch: int
+    seed: int
+    hours: float
+    family: dict[str, Any]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    sizes: tuple[int, ...] = BLEND_SIZES
+    shares: tuple[float, ...] = ()
+    table: dict[str, Any] = field(default_factory=dict)
+    command: str = ""
+    sha256: str = ""
+
+    def to_json(self) -> str:
+        """The card as JSON text; `from_json` is its inverse."""
+        return json.dumps({**asdict(self), "config": self.config.to_dict()}, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Card:
+        """The card that `to_json` wrote."""
+        data = json.loads(text)
+        for name in ("low", "high", "sizes", "shares"):
+            data[name] = tuple(data[name])
+        return cls(**{**data, "config": INetConfig.from_dict(data["config"])})
+
+    def share(self, n: int) -> float:
+        """How much the network counts at n samples: linear in log n between the measured sizes, 0 beyond them.
+
+        Examples
+        --------
+        >>> card = Card("m", "toy", "mc", "trapezoid", INetConfig(), 0, 0, 0, 0.0, {}, (), (), (32, 128), (1.0, 0.5))
+        >>> card.share(8), card.share(64), card.share(129)
+        (1.0, 0.75, 0.0)
+        """
+        if n > self.sizes[-1]:
+            return 0.0
+        for k in range(1, len(self.sizes)):
+            low, high = self.sizes[k - 1 : k + 1]
+            if n <= high:
+                at = max(0.0, math.log(n / low) / math.log(high / low))
+                return self.shares[k - 1] * (1.0 - at) + self.shares[k] * at
+        return self.shares[0]
+
+
+def save(folder: str | Path, net: INet, card: Card) -> Card:
+    """Write NAME.safetensors and NAME.json; returns the card with the hash of the weights."""
+    safetensors = check.require("safetensors.torch", "learn", "models")
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    weights = safetensors.save({name: tensor.contiguous() for name, tensor in net.state_dict().items()})
+    card = Card(**{**vars(card), "sha256": hashlib.sha256(weights).hexdigest()})
+    (folder / f"{card.name}.safetensors").write_bytes(weights)
+    (folder / f"{card.name}.json").write_text(card.to_json())
+    return card
+
+
+def load(folder: str | Path, recipe: Recipe) -> Model:
+    """The model of a recipe from its weights and card.
+
+    Parameters
+    ----------
+    folder : path
+        Where NAME.safetensors and NAME.json lie.
+    recipe : Recipe
+        How it was made.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model, or card, weights and recipe do not belong together.
+    """
+    safetensors = check.require("safetensors.torch", "learn", "models")
+    folder = Path(folder)
+    paths = [folder / f"{recipe.name}{suffix}" for suffix in (".json", ".safetensors")]
+    missing = [path.name for path in paths if not path.exists()]
+    if missing:
+        raise ValueError(f"recipe: expected a trained model {recipe.name!r}, {' and '.join(missing)} not there")
+    card, weights = Card.from_json(paths[0].read_text()), paths[1].read_bytes()
+    digest = hashlib.sha256(weights).hexdigest()
+    if digest != card.sha256:
+        raise ValueError(f"card: expected weights with sha256 {card.sha256}, got {digest}")
+    for name, mine, theirs in (
+        ("config", recipe.config, card.config),
+        ("base", recipe.base, card.base),
+        ("consistent", recipe.consistent, card.consistent),
+        ("checked quantities", len(recipe.extra.checked) if recipe.extra else 0, len(card.low)),
+    ):
+        if mine != theirs:
+            raise ValueError(f"card: expected {name} {mine}, got {theirs}")
+    net = INet(card.config)
+    tensors = safetensors.load(weights)
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    expected = {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
+    if shapes != expected:
+        wrong = sorted(shapes.items() ^ expected.items())
+        raise ValueError(f"card: expected weights of the shapes of its architecture, these differ: {wrong}")
+    net.load_state_dict(tensors)
+    return Model(
+        card, LearnedRule(net.eval(), recipe.base_rule(), recipe.extra), registry.make("rule", card.consistent)
+    )
+
+
+def _checked(samples: Samples, extra: Extra | None) -> Tensor:
+    """The quantities that tell whether data resemble the family, (B, N T, K)."""
+    if extra is None or not extra.checked:
+        return samples.x.new_zeros(samples.x.shape[0], 1, 0)
+    return extra.compute(sort_samples(samples)[0])[..., list(extra.checked)].flatten(1, 2)
+
+
+@dataclass(frozen=True)
+class Model(Rule):
+    """A learned rule within its card's limits.
+
+    Parameters
+    ----------
+    card : Card
+        Limits and shares.
+    learned : LearnedRule
+        The network on its base rule.
+    consistent : Rule
+        What answers beyond the limits.
+    """
+
+    card: Card
+    learned: LearnedRule
+    consistent: Rule
+
+    name = "inet"
+
+    def inside(self, samples: Samples) -> Tensor:
+        """Integrals that resemble the training family, (B,) bool."""
+        seen = _checked(samples, self.learned.extra)
+        low, high = seen.new_tensor(self.card.low), seen.new_tensor(self.card.high)
+        slack = _MARGIN * (high - low)
+        inside = ((seen >= low - slack) & (seen <= high + slack)).all(dim=2).all(dim=1)
+        for feature in self.card.config.tokens.features:
+            if feature.kind == "index":
+                inside &= (samples.feature(feature.name, self.name) < feature.levels).flatten(1).all(dim=1)
+        return inside
+
+    def combine(self, samples: Samples) -> Combination:
+        safe = self.consistent.combine(samples)
+        share = self.card.share(samples.n)
+        inside = self.inside(samples)
+        if share == 0.0 or not inside.any():
+            return Combination(safe.weights, safe.offset, torch.ones_like(inside))
+        learned = self.learned.combine(samples)
+        part = torch.where(inside, share, 0.0).to(samples.value.dtype)
+        fallback = ~inside | (share < 0.5)
+        if learned.fallback is not None:
+            fallback = fallback | learned.fallback
+        return Combination(
+            _mix(part[:, None, None, None], learned.weights, safe.weights), _mix_offsets(part, learned, safe), fallback
+        )
+
+
+def _mix(part: Tensor, learned: Tensor, safe: Tensor) -> Tensor:
+    """part learned + (1 - part) safe, exactly either where part is 1 or 0 (and whatever the other one is there)."""
+    return torch.where(part == 1.0, learned, torch.where(part == 0.0, safe, part * learned + (1.0 - part) * safe))
+
+
+def _mix_offsets(part: Tensor, learned: Combination, safe: Combination) -> Tensor | None:
+    if learned.offset is None and safe.offset is None:
+        return None
+    zero = part.new_zeros(1, 1)
+    mine, theirs = (zero if c.offset is None else c.offset for c in (learned, safe))
+    most = max(mine.ndim, theirs.ndim)
+    mine, theirs = (offset[:, None] if offset.ndim < most else offset for offset in (mine, theirs))
+    return _mix(part.reshape(-1, *[1] * (most - 1)), mine, theirs)
+
+
+def measure_box(recipe: Recipe, integrals: int = 2**15, seed: int = 0) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Range of the checked quantities over training integrals, at all trained sizes."""
+    low, high = [], []
+    for n, _ in recipe.sizes:
+        for rows in torch.arange(integrals).split(2**12):
+            seen = _checked(draw_batch(recipe, rows, n, seed, "train")[1], recipe.extra)
+            low.append(seen.amin(dim=(0, 1)))
+            high.append(seen.amax(dim=(0, 1)))
+    ends = torch.stack(low).amin(dim=0), torch.stack(high).amax(dim=0)
+    return tuple(ends[0].tolist()), tuple(ends[1].tolist())
+
+
+@torch.no_grad()
+def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, seed: int = 0) -> tuple[float, ...]:
+    """Share of the network at each N that minimises the squared error on validation integrals.
+
+    Beyond the trained sizes shares only fall, and from the first negligible one on they are 0.
+    """
+    learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
+    safe = registry.make("rule", recipe.consistent)
+    trained = max(n for n, _ in recipe.sizes)
+    shares: list[float] = []
+    for n in sizes:
+        if shares and shares[-1] == 0.0:
+            shares.append(0.0)
+            continue
+        gain = total = 0.0
+        for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
+            batch, samples = draw_batch(recipe, rows, n, seed, "validation")
+            samples, link = batch.problem.finalize(samples)
+            mine, theirs = (link(rule.combine(samples).estimate(samples)) - batch.answer for rule in (learned, safe))
+            gain += float((theirs * (theirs - mine)).sum())
+            total += float((theirs - mine).square().sum())
+        share = min(1.0, max(0.0, gain / total)) if total > 0.0 else 0.0
+        if n > trained:
+            share = min(share, shares[-1]) if shares else share
+            share = share if share >= _LEAST_SHARE else 0.0
+        shares.append(share)
+    return tuple(shares)

@@ -1,0 +1,46 @@
+"""Which family, base rule and network make each model."""
+
+from __future__ import annotations
+
+from nqr_geom.curves.tokens import CURVE_TOKENS
+from nqr_geom.curves.training import gwn_batch
+from nqr_geom.integrator.learn.inet import INetConfig
+from nqr_geom.integrator.learn.recipe import Recipe
+from nqr_geom.integrator.learn.tokens import TokenConfig
+from nqr_geom.integrator.problem import Feature
+from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
+
+__all__ = ["RECIPES"]
+
+_TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=TOY_TOKENS.size, centred=True)
+_CURVE = TokenConfig(
+    features=(Feature("piece", "index", levels=6), Feature("normal", "direction", 2)),
+    extra=CURVE_TOKENS.size,
+    unit=1.0,  # a winding number is a number of turns, whatever the row
+)
+
+RECIPES: dict[str, Recipe] = {
+    recipe.name: recipe
+    for recipe in (
+        Recipe(
+            name="toy-uniform",
+            problem="toy",
+            family=toy_batch,
+            base="mc",
+            consistent="trapezoid",
+            config=INetConfig(_TOY, unit_mass=True),
+            extra=TOY_TOKENS,
+            sizes=((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05)),
+        ),
+        Recipe(
+            name="gwn-uniform",
+            problem="gwn",
+            family=gwn_batch,
+            base="mc",
+            consistent="trapezoid",
+            config=INetConfig(_CURVE),
+            extra=CURVE_TOKENS,
+            sizes=((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05)),
+        ),
+    )
+}

@@ -1,0 +1,62 @@
+"""What a sample of a piecewise smooth function tells a network: differences to its neighbours, as rules use them.
+
+Values are measured from the row's mean in the row's unit, so neither an added constant nor a factor is seen.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from nqr_geom.integrator.learn.recipe import Batch
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, standard
+from nqr_geom.integrator.problem import Samples
+from nqr_geom.toy.problem import ToyProblem
+
+__all__ = ["TOY_TOKENS", "toy_batch"]
+
+_CENTRED = TokenConfig(centred=True)
+
+
+def _side(v: Tensor, d: Tensor, other_v: Tensor, other_d: Tensor, step: Tensor, same: Tensor) -> list[Tensor]:
+    """What the neighbour at signed distance `step` tells, each (B, N): zero steps beyond the ends tell nothing."""
+    rise = torch.where(step != 0.0, other_v - v, 0.0)
+    ahead, behind = step * d, step * other_d
+    return [
+        torch.where(same, rise, 0.0),
+        torch.where(same, 0.0, rise),
+        ahead,
+        torch.where(same, behind - ahead, 0.0),
+        torch.where(same, rise - 0.5 * (ahead + behind), 0.0),
+        torch.where(same, 0.0, rise - 0.5 * (ahead + behind)),
+    ]
+
+
+def toy_tokens(samples: Samples) -> Tensor:
+    """Quantities of samples sorted by x, (B, N, 1, 14) float32."""
+    x = samples.x[..., 0]
+    value, unit = standard(samples.value, _CENTRED)
+    v = (value / unit)[:, :, 0, 0].float()
+    d = (samples.feature("derivative", "inet") / unit)[:, :, 0, 0].float()
+    piece = samples.feature("piece", "inet")[:, :, 0, 0]
+    step = torch.nn.functional.pad(x.diff(dim=1), (1, 1)).float()
+    same = torch.nn.functional.pad(piece.diff(dim=1) == 0, (1, 1))
+    reach = torch.cat([x[:, :1], 0.5 * x.diff(dim=1), 1.0 - x[:, -1:]], dim=1)
+    share = samples.n * (reach[:, :-1] + reach[:, 1:])
+    parts = [
+        share.clamp_min(1e-4).log().float(),
+        compress(d, 10.0),
+        *_side(v, d, torch.roll(v, 1, dims=1), torch.roll(d, 1, dims=1), -step[:, :-1], same[:, :-1]),
+        *_side(v, d, torch.roll(v, -1, dims=1), torch.roll(d, -1, dims=1), step[:, 1:], same[:, 1:]),
+    ]
+    parts[2:] = [part.asinh() for part in parts[2:]]
+    return torch.stack(parts, dim=-1)[:, :, None]
+
+
+TOY_TOKENS = Extra(14, toy_tokens, checked=(1,))
+
+
+def toy_batch(rows: Tensor, seed: int, split: str) -> Batch:
+    """Random integrands of the family with their integrals, one for each of `rows` (B,)."""
+    problem = ToyProblem(rows, seed, split)
+    return Batch(problem, problem.pieces.integral()[:, None])

@@ -1,0 +1,231 @@
+"""Tokens and the integration network: base rule at the start, bounded corrections, no memory of order or batch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from nqr_geom import registry
+from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule, correct
+from nqr_geom.integrator.learn.recipe import Recipe, draw_samples
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, sort_samples, standard, tokenize
+from nqr_geom.integrator.problem import Feature, Observation, Samples
+from nqr_geom.integrator.rules import Combination
+from nqr_geom.recipes import RECIPES
+from nqr_geom.streams import Stream
+
+NAMES = sorted(RECIPES)
+
+
+def seen(recipe: Recipe, rows: int = 20, n: int = 16) -> Samples:
+    """Samples of the first integrals of a recipe's family."""
+    problem = recipe.family(torch.arange(rows), 3, "validation").problem
+    return problem.finalize(draw_samples(problem, recipe.designs, n, Stream(3, "validation")))[0]
+
+
+def shaken(config: INetConfig, scale: float = 0.3) -> INet:
+    """A network whose heads are not zero."""
+    net = INet(config)
+    stream = Stream(11, "validation", "heads")
+    with torch.no_grad():
+        for k, parameter in enumerate(net.head.parameters()):
+            index = torch.arange(parameter.numel()) + 10000 * k
+            parameter.copy_(scale * (2.0 * stream.uniform(index) - 1.0).view_as(parameter))
+    return net
+
+
+def sample(value: list[float], x: list[float]) -> Samples:
+    """One row of plain samples without features."""
+    f = torch.tensor(value, dtype=torch.float64)[None, :, None, None]
+    at = torch.tensor(x, dtype=torch.float64)[None, :, None]
+    return Samples(at, Observation(f), torch.ones_like(at), "test")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_untrained_is_its_base_bit_for_bit(name: str) -> None:
+    recipe = RECIPES[name]
+    samples = seen(recipe)
+    base = recipe.base_rule().combine(samples)
+    learned = LearnedRule(INet(recipe.config), recipe.base_rule(), recipe.extra).combine(samples)
+    assert torch.equal(learned.estimate(samples), base.estimate(samples))
+    assert torch.equal(learned.weights.expand_as(samples.value), base.weights.expand_as(samples.value))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_order_of_samples_changes_nothing(name: str) -> None:
+    recipe = RECIPES[name]
+    samples = seen(recipe)
+    order = Stream(5, "validation").uniform(torch.arange(20)[:, None], torch.arange(16)).argsort(dim=1)
+    mixed = samples.permuted(order)
+    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra)
+    a, b = rule.combine(samples), rule.combine(mixed)
+    weights = a.weights.expand_as(samples.value)[..., 0, 0]
+    # The network sees sorted samples and answers alike bit for bit; only float64 row means round differently.
+    np.testing.assert_allclose(weights.gather(1, order), b.weights.expand_as(samples.value)[..., 0, 0], rtol=1e-12)
+    np.testing.assert_allclose(a.estimate(samples), b.estimate(mixed), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rows_do_not_depend_on_their_batch(name: str) -> None:
+    recipe = RECIPES[name]
+    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra)
+    problem = recipe.family(torch.arange(600), 3, "validation").problem
+
+    def answers(index: torch.Tensor) -> torch.Tensor:
+        part = problem.take(index)
+        samples = part.finalize(registry.make("sampler", "random").draw(part, 16, Stream(3, "validation")))[0]
+        return rule.combine(samples).estimate(samples)
+
+    whole = answers(torch.arange(600))
+    for index in (torch.arange(1), torch.arange(590, 600), torch.arange(0, 600, 7), torch.arange(600).flip(0)):
+        assert torch.equal(answers(index), whole[index])
+
+
+def test_padding_changes_nothing() -> None:
+    config = INetConfig(TokenConfig(), layers=2, width=16)
+    net = shaken(config)
+    tokens = torch.linspace(-1.0, 1.0, 3 * 5 * config.tokens.width).view(3, 5, -1)
+    padded = torch.cat([tokens, torch.full((3, 4, config.tokens.width), 7.0)], dim=1)
+    padding = torch.arange(9).expand(3, 9) >= 5
+    np.testing.assert_allclose(net(padded, padding)[:, :5].detach(), net(tokens).detach(), atol=2e-6)
+
+
+def test_network_is_equivariant_to_token_order() -> None:
+    config = INetConfig(TokenConfig(dim=2), layers=2, width=16)
+    net = shaken(config)
+    tokens = torch.linspace(-1.0, 1.0, 3 * 6 * config.tokens.width).sin().view(3, 6, -1)
+    order = torch.tensor([4, 0, 5, 2, 1, 3])
+    np.testing.assert_allclose(net(tokens[:, order]).detach(), net(tokens)[:, order].detach(), atol=2e-6)
+
+
+def test_relative_weights_are_bounded_where_the_integrand_is_not() -> None:
+    config = INetConfig(TokenConfig(unit=1.0), offset=True)
+    samples = sample([1e12, -0.5], [0.3, 0.7])
+    raw = torch.tensor([[-30.0, 0.2, 0.1], [0.0, 0.2, 0.1]])[None, :, None]  # g, h, o
+    base = Combination(torch.ones(1, 2, 1, 1, dtype=torch.float64))
+    result = correct(raw, base, samples, config)
+    # W f: 1e12 e^-30 + 0.2 from the singular sample, -0.5 * 1.2 from the other.
+    expected = 0.5 * (1e12 * np.exp(-30.0) + np.float32(0.2) - 0.5 * (1.0 + np.float32(0.2))) + np.float32(0.1)
+    np.testing.assert_allclose(result.estimate(samples).item(), expected, rtol=1e-5)
+
+
+def test_additive_weights_are_the_plain_form() -> None:
+    config = INetConfig(TokenConfig(unit=1.0), weights="additive")
+    samples = sample([100.0, 3.0], [0.3, 0.7])
+    base = Combination(torch.ones(1, 1, 1, 1, dtype=torch.float64))
+    result = correct(torch.tensor([0.5, -0.25])[None, :, None, None], base, samples, config)
+    np.testing.assert_allclose(result.weights.flatten(), [1.5, 0.75])
+    assert result.offset is None
+
+
+def test_unit_mass_keeps_constants() -> None:
+    config = INetConfig(TokenConfig(unit=1.0, centred=True), unit_mass=True)
+    samples = sample([7.0, 7.0, 7.0], [0.1, 0.2, 0.8])
+    raw = torch.tensor([[0.3, 1.0], [-2.0, 0.4], [0.1, 0.1]])[None, :, None]
+    base = Combination(torch.ones(1, 1, 1, 1, dtype=torch.float64))
+    np.testing.assert_allclose(correct(raw, base, samples, config).estimate(samples).item(), 7.0, rtol=1e-14)
+
+
+def test_only_doubtful_rows_are_corrected() -> None:
+    config = INetConfig(TokenConfig(unit=1.0), offset=True, doubtful_only=True)
+    two = sample([1.0, 2.0], [0.1, 0.9])
+    samples = replace(two, x=two.x.repeat(2, 1, 1), seen=Observation(two.value.repeat(2, 1, 1, 1)))
+    flags = torch.tensor([True, False])
+    base = Combination(torch.ones(1, 1, 1, 1, dtype=torch.float64), torch.zeros(2, 1, dtype=torch.float64), flags)
+    result = correct(torch.full((2, 2, 1, 3), 0.5), base, samples, config)
+    assert result.estimate(samples)[1].item() == 1.5
+    assert result.estimate(samples)[0].item() > 2.0
+
+
+@pytest.mark.parametrize("base_offset", [(2, 1), (2, 4, 1)])
+def test_offset_joins_either_form_of_the_base_offset(base_offset: tuple[int, ...]) -> None:
+    config = INetConfig(TokenConfig(unit=2.0), offset=True)
+    one = sample([1.0, 1.0, 1.0, 1.0], [0.1, 0.2, 0.5, 0.9])
+    samples = replace(one, x=one.x.repeat(2, 1, 1), seen=Observation(one.value.repeat(2, 1, 1, 1)))
+    base = Combination(torch.ones(1, 1, 1, 1, dtype=torch.float64), torch.full(base_offset, 10.0).double())
+    raw = torch.tensor([0.0, 0.0, 0.25]).expand(2, 4, 1, 3)
+    np.testing.assert_allclose(correct(raw, base, samples, config).estimate(samples).flatten(), [11.5, 11.5])
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-30, 1e30, 1e150])
+def test_tokens_are_finite_for_any_finite_values(name: str, size: float) -> None:
+    recipe = RECIPES[name]
+    samples = seen(recipe, 4)
+    features = {
+        key: value if value.dtype == torch.int64 else value * size for key, value in samples.seen.features.items()
+    }
+    wild = replace(samples, seen=replace(samples.seen, value=samples.value * size, features=features))
+    tokens = tokenize(sort_samples(wild)[0], recipe.config.tokens, recipe.extra)
+    assert tokens.shape == (4, 16, 1, recipe.config.tokens.width)
+    assert tokens.dtype == torch.float32
+    assert tokens.isfinite().all()
+
+
+def test_a_spoilt_row_stays_alone() -> None:
+    recipe = RECIPES["gwn-uniform"]
+    samples = seen(recipe, 4)
+    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra)
+    clean = rule.combine(samples).estimate(samples)
+    value = samples.value.clone()
+    value[1] = torch.nan
+    spoilt = replace(samples, seen=replace(samples.seen, value=value))
+    answer = rule.combine(spoilt).estimate(spoilt)
+    assert answer[1].isnan().all()
+    assert torch.equal(answer[[0, 2, 3]], clean[[0, 2, 3]])
+
+
+def test_indices_are_taken_modulo_their_levels() -> None:
+    config = TokenConfig((Feature("piece", "index", levels=3),))
+    plain = sample([1.0, 2.0], [0.2, 0.6])
+
+    def with_piece(piece: list[int]) -> Samples:
+        features = {"piece": torch.tensor(piece)[None, :, None, None]}
+        return replace(plain, seen=replace(plain.seen, features=features))
+
+    one_hot = slice(12 + 1 + 6, 12 + 1 + 6 + 3)  # behind the position, the value and the neighbours
+    tokens = tokenize(with_piece([4, 5]), config)[0, :, 0, one_hot]
+    assert tokens.tolist() == [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+def test_row_unit_makes_a_rule_homogeneous() -> None:
+    config = INetConfig(TokenConfig(), layers=1, width=16)
+    rule = LearnedRule(shaken(config), registry.make("rule", "trapezoid"))
+    samples = sample([1.0, -3.0, 0.5, 2.0], [0.1, 0.4, 0.6, 0.8])
+    one = rule.combine(samples).estimate(samples)
+    for factor in (2.0**-300, 2.0**300):
+        scaled = replace(samples, seen=replace(samples.seen, value=factor * samples.value))
+        np.testing.assert_allclose(rule.combine(scaled).estimate(scaled).item(), factor * one.item(), rtol=1e-6)
+
+
+def test_the_unit_of_extreme_rows_is_finite() -> None:
+    value = torch.tensor([[1.7e308, 1.7e308], [0.0, 0.0], [5e-324, 0.0]], dtype=torch.float64)[:, :, None, None]
+    unit = standard(value, TokenConfig())[1]
+    assert unit.isfinite().all()
+    assert (unit > 0.0).all()
+    assert unit[1].item() == 1.0
+
+
+def test_compress_is_odd_and_monotone() -> None:
+    value = torch.linspace(-50.0, 50.0, 101, dtype=torch.float64)
+    assert torch.equal(compress(-value), -compress(value))
+    assert (compress(value, 3.0).diff() > 0.0).all()
+
+
+def test_extra_must_fit_the_configuration() -> None:
+    with pytest.raises(ValueError, match="extra: expected 0 quantities, got 2"):
+        tokenize(sample([1.0], [0.5]), TokenConfig(), Extra(2, lambda samples: samples.value))
+
+
+def test_missing_feature_is_named() -> None:
+    with pytest.raises(ValueError, match="'inet' needs the feature 'piece'"):
+        tokenize(sample([1.0], [0.5]), TokenConfig((Feature("piece", "index", levels=3),)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_configurations_survive_their_card(name: str) -> None:
+    config = RECIPES[name].config
+    assert INetConfig.from_dict(config.to_dict()) == config
