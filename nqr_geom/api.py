@@ -64,11 +64,10 @@ def _answer(
     if method == "exact":
         if not full_output:
             return exact()
-        _need_torch("full_output=True")
-        from nqr_geom.integrator.plan import exactly
+        from nqr_geom.integrator.estimate import exactly
 
         return exactly(exact, name)
-    _need_torch(f"method={method!r}")
+    _need_torch(f"methods such as {method!r}")
     if tol is None:
         estimate = integrate(problem(), n, method=method, seed=seed)
     else:
@@ -136,16 +135,19 @@ def gwn(
     >>> ng.gwn(square, [[0.5, 0.5], [2.0, 0.5], [0.5, 0.0]])
     array([1. , 0. , 0.5])
     """
-    from nqr_geom.curves import winding
-
     _curve(curve)
+
+    def exact() -> Floats:
+        from nqr_geom.curves import winding
+
+        return winding.gwn(curve, points)
 
     def problem() -> Problem:
         from nqr_geom import problems
 
         return problems.gwn(curve, points)
 
-    return _answer(lambda: winding.gwn(curve, points), problem, "gwn", curve, method, n, tol, seed, full_output)
+    return _answer(exact, problem, "gwn", curve, method, n, tol, seed, full_output)
 
 
 def sd(
@@ -185,8 +187,6 @@ def sd(
     >>> ng.sd(segment, [[0.0, 0.5]]).round(3)
     array([0.534])
     """
-    from nqr_geom.curves import smooth
-
     _curve(curve)
 
     def problem() -> Problem:
@@ -195,6 +195,8 @@ def sd(
         return problems.sd(curve, points, alpha)
 
     def exact() -> Floats:
+        from nqr_geom.curves import smooth
+
         return smooth.sd(curve, points, alpha=alpha)
 
     return _answer(exact, problem, "sd", curve, method, n, tol, seed, full_output)

@@ -51,7 +51,7 @@ def _read(source: str, text: bool) -> Curve:
             raise ValueError(f"source: expected an existing file, got {source!r}")
         points = np.load(source, allow_pickle=False)
         return ng.Curve.polyline(points, closed=bool(len(points) > 2 and (points[0] == points[-1]).all()))
-    return ng.Curve.from_svg(source)
+    return ng.Curve.from_svg(source, flip_y=True)
 
 
 def _progress() -> Progress:
@@ -220,7 +220,7 @@ def demo(
 
     with as_file(files("nqr_geom") / "data" / "fish.svg") as path:
         gwn(str(path), resolution=resolution, out=out / "gwn-fish.png")
-        fish = ng.Curve.from_svg(path)
+        fish = ng.Curve.from_svg(path, flip_y=True)
     sd("nqr", text=True, resolution=resolution, out=out / "sd-text.png")
     problem = ng.problems.gwn(fish, Window.around(fish.bounds, 24).points)
     pieces = 2 * fish.n_pieces

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,19 @@ from nqr_geom.curves.curve import BlackBoxCurve, Curve
 __all__ = ["Window", "draw_field", "save_field"]
 
 Floats = NDArray[np.float64]
+
+_BAR = 90  # pixels below the field for its colour bar
+_BAR_STYLE = {
+    "color": "black",
+    "n_labels": 5,
+    "fmt": "%.2g",
+    "title_font_size": 22,
+    "label_font_size": 18,
+    "position_x": 0.2,
+    "position_y": 0.01,
+    "width": 0.6,
+    "height": 0.07,
+}
 
 
 @dataclass(frozen=True)
@@ -49,7 +64,7 @@ class Window:
         nx, ny = (max(2, int(np.ceil((high - low + 2.0 * pad) / step))) for low, high in ((xmin, xmax), (ymin, ymax)))
         x = 0.5 * (xmin + xmax) + step * (np.arange(nx) - 0.5 * (nx - 1))
         y = 0.5 * (ymin + ymax) + step * (np.arange(ny) - 0.5 * (ny - 1))
-        return cls(x, y)
+        return cls(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
 
     @property
     def points(self) -> Floats:
@@ -57,16 +72,33 @@ class Window:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
 
 
-def _image(window: Window, values: Floats, name: str) -> Any:
+def _image(window: Window, values: Floats, name: str, cells: bool = False) -> Any:
+    """The values on a grid: at its points, or as constant cells around them, which keeps jumps sharp."""
     pv = check.require("pyvista", "plot", "pictures")
     step = window.x[1] - window.x[0]
     image = pv.ImageData(
-        dimensions=(len(window.x), len(window.y), 1),
+        dimensions=(len(window.x) + cells, len(window.y) + cells, 1),
         spacing=(step, step, step),
-        origin=(window.x[0], window.y[0], 0.0),
+        origin=(window.x[0] - 0.5 * cells * step, window.y[0] - 0.5 * cells * step, 0.0),
     )
-    image.point_data[name] = values
+    (image.cell_data if cells else image.point_data)[name] = values
     return image
+
+
+@contextmanager
+def _plotter(pixels: tuple[int, int]) -> Iterator[Any]:
+    """An off-screen plotter; VTK's complaint that there is no display, which it does not need, is not shown."""
+    pv = check.require("pyvista", "plot", "pictures")
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+    plotter = pv.Plotter(off_screen=True, window_size=pixels)
+    try:
+        yield plotter
+    finally:
+        plotter.close()
+        vtkLogger.SetStderrVerbosity(before)
 
 
 def _outline(curve: Curve, tolerance: float) -> Any:
@@ -117,59 +149,49 @@ def draw_field(
     Path
         The file written.
     """
-    pv = check.require("pyvista", "plot", "pictures")
-    image = _image(window, values, name)
     wide, high = np.ptp(window.x), np.ptp(window.y)
     extent = max(wide, high)
-    pixels = (int(900 * wide / extent), int(900 * high / extent) + 90)
-    plotter = pv.Plotter(off_screen=True, window_size=pixels)
-    plotter.set_background("white")
+    pixels = (int(900 * wide / extent), int(900 * high / extent) + _BAR)
     finite = values[np.isfinite(values)]
     low, top = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     if signed:
         top = max(abs(low), abs(top), 1e-12)
         low = -top
-    plotter.add_mesh(
-        image,
-        cmap="RdBu_r" if signed else "viridis",
-        clim=(low, top),
-        lighting=False,
-        nan_opacity=0.0,
-        scalar_bar_args={
-            "title": name,
-            "color": "black",
-            "n_labels": 5,
-            "fmt": "%.2g",
-            "title_font_size": 22,
-            "label_font_size": 18,
-            "position_x": 0.2,
-            "position_y": 0.01,
-            "width": 0.6,
-            "height": 0.07,
-        },
-    )
-    if contours and top > low:
-        levels = image.contour(np.linspace(low, top, contours + 2)[1:-1], scalars=name)
-        if levels.n_points:
-            plotter.add_mesh(levels.translate((0, 0, 1e-4 * extent)), color="white", line_width=1, opacity=0.6)
-    outline = _outline(curve, 1e-4 * extent).translate((0.0, 0.0, 2e-4 * extent))
-    plotter.add_mesh(outline, color="black", line_width=3, lighting=False)
-    plotter.camera_position = "xy"
-    plotter.enable_parallel_projection()
-    bar = 90.0 / pixels[1]
-    centre = (0.5 * (window.x[0] + window.x[-1]), 0.5 * (window.y[0] + window.y[-1]))
-    span = high / (1.0 - bar)
-    plotter.camera.focal_point = (centre[0], centre[1] - 0.5 * bar * span, 0.0)
-    plotter.camera.position = (centre[0], centre[1] - 0.5 * bar * span, 10.0 * extent)
-    plotter.camera.parallel_scale = 0.5 * span
-    plotter.camera.clipping_range = (extent, 20.0 * extent)
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     aside = target.with_name(f".{target.stem}.part.png")
-    plotter.screenshot(aside)
-    plotter.close()
+    with _plotter(pixels) as plotter:
+        plotter.set_background("white")
+        plotter.add_mesh(
+            _image(window, values, name, cells=True),
+            cmap="RdBu_r" if signed else "viridis",
+            clim=(low, top),
+            lighting=False,
+            nan_opacity=0.0,
+            scalar_bar_args={"title": name, **_BAR_STYLE},
+        )
+        if contours and top > low:
+            levels = _image(window, values, name).contour(np.linspace(low, top, contours + 2)[1:-1], scalars=name)
+            if levels.n_points:
+                plotter.add_mesh(levels.translate((0, 0, 1e-4 * extent)), color="white", line_width=1, opacity=0.6)
+        outline = _outline(curve, 1e-4 * extent).translate((0.0, 0.0, 2e-4 * extent))
+        plotter.add_mesh(outline, color="black", line_width=3, lighting=False)
+        _look_down(plotter, window, _BAR / pixels[1])
+        plotter.screenshot(aside)
     aside.replace(target)
     return target
+
+
+def _look_down(plotter: Any, window: Window, bar: float) -> None:
+    """Fill the picture with the window, except for the lowest part `bar` of it."""
+    extent = max(np.ptp(window.x), np.ptp(window.y))
+    span = np.ptp(window.y) / (1.0 - bar)
+    x = 0.5 * (window.x[0] + window.x[-1])
+    y = 0.5 * (window.y[0] + window.y[-1]) - 0.5 * bar * span
+    plotter.camera_position = [(x, y, 10.0 * extent), (x, y, 0.0), (0.0, 1.0, 0.0)]
+    plotter.enable_parallel_projection()
+    plotter.camera.parallel_scale = 0.5 * span
+    plotter.camera.clipping_range = (extent, 20.0 * extent)
 
 
 def save_field(

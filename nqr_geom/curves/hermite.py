@@ -146,7 +146,7 @@ def reconstruct(samples: Samples, rule: str) -> Segments:
     t = tangents(samples, rule)
     piece = samples.feature("piece", rule)[:, :, 0, 0]
     count = samples.feature("pieces", rule)[:, :, 0, 0]
-    low, high = piece / count, (piece + 1) / count
+    low, high = piece.double() / count, (piece + 1).double() / count
 
     step = s.diff(dim=1)
     changes = piece.diff(dim=1) != 0
@@ -248,22 +248,28 @@ def _angle(control: Tensor) -> Tensor:
     return torch.atan2(cross, (start * end).sum(dim=1))
 
 
-def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> Tensor:
-    """Integral of exp(-alpha (|x| - shift)) dl over the rebuilt curves, (B,).
+def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Integral of exp(-alpha (|x| - shift)) dl over the rebuilt curves, as exp(exponent) times a sum.
 
     Segments are halved until a Gauss rule is sure of them: short against 1 / alpha, and no longer than twice their
     distance (closer by, |x| has a kink) unless too short to matter. What lies 45 / alpha farther than the nearest
-    sample cannot be seen in float64 and is left out.
+    sample cannot be seen in float64 and is left out. The curve may come closer than every sample, so the largest
+    exponent is kept apart.
 
     Parameters
     ----------
     segments : Segments
         From `reconstruct`.
     alpha, shift : Tensor, (B,)
-        Sharpness, and the distance taken out of the exponential.
+        Sharpness, and the distance of the nearest sample.
+
+    Returns
+    -------
+    exponent, total : Tensor, (B,)
+        The integral is exp(exponent) * total.
     """
     control, row = segments.control, segments.row
-    value = torch.zeros_like(shift)
+    exponent, total = torch.full_like(shift, -torch.inf), torch.zeros_like(shift)
     for level in range(_LEVELS):
         legs = torch.linalg.vector_norm(control.diff(dim=1), dim=-1).sum(dim=-1)
         ends = torch.linalg.vector_norm(control[:, [0, 3]], dim=-1)
@@ -272,16 +278,20 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> Tensor:
         seen = sharp * (nearest - shift[row]) < 45.0
         sure = (sharp * legs <= 4.0) & ((legs <= 2.0 * nearest) | (sharp * legs <= 1e-5))
         done = seen & (sure | (level == _LEVELS - 1))
-        value.index_add_(0, row[done], _gauss(control[done], sharp[done], shift[row[done]]))
+        powers, lengths = _gauss(control[done], sharp[done], shift[row[done]])
+        largest = exponent.scatter_reduce(0, row[done], powers.amax(dim=1), "amax")
+        total = torch.where(total > 0.0, total * torch.exp(exponent - largest), total)
+        total.index_add_(0, row[done], (torch.exp(powers - largest[row[done], None]) * lengths).sum(dim=1))
+        exponent = largest
         rest = seen & ~done
         if not rest.any():
             break
         control, row = halves(control[rest]), row[rest].repeat_interleave(2)
-    return value
+    return exponent, total
 
 
-def _gauss(control: Tensor, alpha: Tensor, shift: Tensor) -> Tensor:
-    """Eight-point Gauss-Legendre rule over each segment, (M,)."""
+def _gauss(control: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """Exponents and length elements (M, 8) of the eight-point Gauss-Legendre rule on each segment."""
     nodes, weights = (torch.as_tensor(a, device=control.device) for a in gauss_legendre(8))
     u = 1.0 - nodes
     basis = torch.stack([u**3, 3.0 * nodes * u**2, 3.0 * nodes**2 * u, nodes**3], dim=1)
@@ -289,4 +299,4 @@ def _gauss(control: Tensor, alpha: Tensor, shift: Tensor) -> Tensor:
     position = torch.einsum("gk,mkd->mgd", basis, control)
     speed = 3.0 * torch.linalg.vector_norm(torch.einsum("gk,mkd->mgd", slope, control.diff(dim=1)), dim=-1)
     distance = torch.linalg.vector_norm(position, dim=-1)
-    return (torch.exp(-alpha[:, None] * (distance - shift[:, None])) * speed * weights).sum(dim=1)
+    return -alpha[:, None] * (distance - shift[:, None]), speed * weights

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,37 +9,14 @@ import torch
 from numpy.typing import NDArray
 
 from nqr_geom.integrator.estimate import Estimate, Statistics, run
-from nqr_geom.integrator.memory import PeakMemory
 from nqr_geom.integrator.problem import Problem
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.integrator.samplers import Sampler
 
-__all__ = ["exactly", "until"]
+__all__ = ["until"]
 
 _REPLICATES = 8
 _MOST = 2**14  # samples per integral and replicate before giving up
-
-
-def exactly(answer: Callable[[], NDArray[np.float64]], problem: str) -> Estimate:
-    """An exact answer (B,) in the form of an estimate: no samples, standard error zero."""
-    start = time.perf_counter()
-    with PeakMemory() as peak:
-        value = answer()[:, None]
-    seconds = time.perf_counter() - start
-    return Estimate(
-        value=value,
-        stderr=np.zeros_like(value),
-        n=0,
-        inner=value,
-        counts={"samples": 0, "queries": 0},
-        seconds=seconds,
-        stages={"exact": seconds},
-        peak_memory=peak.peak,
-        effects=frozenset(),
-        fallback=np.zeros(len(value), dtype=bool),
-        plan={"problem": problem, "sampler": "none", "rule": "exact", "n": 0, "replicates": 1, "seeds": ()},
-        statistics=Statistics(value, np.zeros_like(value), 1, "replicates"),
-    )
 
 
 def until(problem: Problem, sampler: Sampler, rule: Rule, tol: float, n: int, *, seed: int = 0) -> Estimate:

@@ -202,7 +202,7 @@ class LogLink(Link):
 
     Parameters
     ----------
-    alpha : float
+    alpha : float, or Tensor, (B, 1)
         Sharpness, > 0.
     shift : Tensor, (B, 1)
         Distance taken out of the exponential beforehand, so that F neither under- nor overflows.
@@ -211,7 +211,7 @@ class LogLink(Link):
     """
 
     name: str = "log"
-    alpha: float = 1.0
+    alpha: float | Tensor = 1.0
     shift: Tensor = field(default_factory=lambda: torch.zeros(1, 1, dtype=torch.float64))
     floor: float = 1e-8
 

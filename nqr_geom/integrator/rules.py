@@ -14,7 +14,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from nqr_geom.integrator.problem import Samples
+from nqr_geom.integrator.problem import Link, Samples
 from nqr_geom.integrator.samplers import cells_per_axis, gauss_legendre
 from nqr_geom.integrator.sums import cholesky_weights, least_norm, row_mean
 
@@ -47,11 +47,14 @@ class Combination:
         The additive term a, or one term a sample whose mean is a; None is zero.
     fallback : Tensor, (B,) bool, or None
         Integrals where the rule gave way to a safer one.
+    link : Link, or None
+        A link of the rule's own, where it states its estimate in another scale than the values'.
     """
 
     weights: Tensor
     offset: Tensor | None = None
     fallback: Tensor | None = None
+    link: Link | None = None
 
     def per_sample(self, samples: Samples) -> Tensor:
         """The terms whose mean over N is the estimate, (B, N, C)."""

@@ -1,0 +1,103 @@
+"""The command line: files come out, and bad input gives one clear line and exit code 2."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nqr_geom as ng
+from nqr_geom import cli
+
+SQUARE = "M0 0 H1 V1 H0 Z"
+
+
+def test_values_of_a_square(tmp_path: Path) -> None:
+    out = tmp_path / "field.npy"
+    assert cli.main(["gwn", SQUARE, "--resolution", "13", "--out", str(out)]) == 0
+    field = np.load(out)
+    assert field.shape == (13, 13)
+    assert set(np.unique(field.round(9))) <= {-1.0, -0.5, -0.25, 0.0}  # drawn clockwise on screen
+    assert np.count_nonzero(field == -1.0) == 81
+
+
+def test_sampled_methods_and_polyline_files(tmp_path: Path) -> None:
+    points = tmp_path / "points.npy"
+    np.save(points, [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0]])
+    out = tmp_path / "sd.npy"
+    arguments = ["sd", str(points), "--method", "structured", "-n", "16", "--resolution", "8", "--out", str(out)]
+    assert cli.main(arguments) == 0
+    first = np.load(out)
+    assert cli.main(arguments) == 0
+    np.testing.assert_array_equal(first, np.load(out))
+
+
+@pytest.mark.parametrize("ending", ["png", "vti", "vtp"])
+def test_pictures_and_grids(tmp_path: Path, ending: str) -> None:
+    out = tmp_path / f"distance.{ending}"
+    assert cli.main(["distance", "o", "--text", "--signed", "--resolution", "40", "--out", str(out)]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    import pyvista as pv
+
+    if ending == "png":
+        pixels = pv.read(out)["PNGImage"][:, :3]
+        assert len(np.unique(pixels, axis=0)) > 50
+    else:
+        values = pv.read(out).point_data["distance"]
+        assert values.min() < 0.0 < values.max()
+
+
+def test_frontier_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "toy.json"
+    arguments = ["frontier", "toy", "--shapes", "20", "--methods", "mc", "--methods", "trapezoid"]
+    assert cli.main([*arguments, "--budgets", "8", "--runs", "4", "--out", str(out)]) == 0
+    assert "trapezoid" in capsys.readouterr().out
+    assert json.loads(out.read_text())["points"]
+
+
+def test_lists_every_rule(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list", "rule"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in ng.rules())
+
+
+BAD = {
+    "missing file": (["gwn", "nowhere.svg"], "path_or_d"),
+    "missing array": (["gwn", "nowhere.npy"], "source: expected an existing file"),
+    "malformed path": (["gwn", "M0 0 L1 Q"], "path_or_d"),
+    "unknown method": (["gwn", SQUARE, "--method", "magic"], "method: expected one of"),
+    "unknown rule": (["gwn", SQUARE, "--method", "random+magic"], "rule: expected one of"),
+    "no samples": (["gwn", SQUARE, "--method", "mc", "-n", "0"], "n: expected an integer >= 1, got 0"),
+    "negative alpha": (["sd", SQUARE, "--alpha", "-1"], "alpha: expected a number > 0"),
+    "bad ending": (["gwn", SQUARE, "--out", "field.jpeg"], "out: expected one of .png, .npy, .vti, .vtp"),
+    "tiny grid": (["gwn", SQUARE, "--resolution", "1"], "resolution: expected an integer >= 2"),
+    "unknown problem": (["frontier", "magic"], "problem: expected one of toy, gwn, sd"),
+    "toy has no curve": (["frontier", "toy", "--input", SQUARE], "problem: expected gwn or sd"),
+    "no shapes": (["frontier", "gwn", "--shapes", "0"], "shapes: expected an integer >= 1"),
+    "unknown kind": (["list", "nothing"], "kind: expected one of"),
+    "unknown command": (["magic"], "magic"),
+    "not a number": (["gwn", SQUARE, "-n", "many"], "many"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_exits_with_2_and_one_line(
+    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments, message = BAD[name]
+    assert cli.main(arguments) == 2
+    captured = capsys.readouterr()
+    text = captured.out + captured.err
+    assert message in text
+    assert "Traceback" not in text
+    if text.startswith("error: "):
+        assert text.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert ng.__version__ in capsys.readouterr().out
