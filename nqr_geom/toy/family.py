@@ -99,6 +99,17 @@ class Pieces:
         end, _ = propagate(self.alpha, self.edges.diff(dim=1), self.value, self.slope, self.curvature)
         return self.value[:, 1:] - end[:, :-1]
 
+    def break_variance(self, x: Tensor) -> Tensor:
+        """Squared error that hidden breaks leave on average at points x (B, N) when the pieces are known, (B,).
+
+        Each break is uniform in the gap between the points around it: the sum of jump^2 gap^2 / 12. A rule that also
+        knows how large jumps are can do better.
+        """
+        points = torch.cat([self.edges[:, :1], x.sort(dim=1).values, self.edges[:, -1:]], dim=1)
+        right = torch.searchsorted(points, self.edges[:, 1:-1].contiguous(), right=True)
+        gap = points.gather(1, right) - points.gather(1, right - 1)
+        return row_sum((self.jumps() * gap).square()) / 12.0
+
     def take(self, index: slice | Tensor) -> Pieces:
         """The integrands `index`."""
         return Pieces(*(getattr(self, field.name)[index] for field in fields(self)))

@@ -77,11 +77,14 @@ class Law:
         f'' at each sample.
     known : Tensor, (B, N), bool
         Whether the piece's samples determine its law and agree with it.
+    foreign : Tensor, (B, N), bool
+        Whether three or more samples disagree with every law.
     """
 
     alpha: Tensor
     curvature: Tensor
     known: Tensor
+    foreign: Tensor
 
 
 def fit(x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, pieces: int) -> Law:
@@ -111,7 +114,10 @@ def fit(x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, pieces: int) -> 
     count = total(torch.ones_like(x)).clamp_min(1.0)
     mean = total(value) / count
     f = value - mean.gather(1, piece)
-    energy = slope * slope
+    unit = f.abs().amax(dim=1, keepdim=True)
+    unit = torch.where(unit > 0.0, unit, 1.0)
+    f = f / unit
+    energy = (slope / unit) ** 2
     square = f * f
     f_f = total(square)
     f_square = total(square * f)
@@ -125,16 +131,16 @@ def fit(x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, pieces: int) -> 
     alpha = torch.where(bent, -total(q * energy) / torch.where(bent, q_q, 1.0), 0.0).clamp_min(0.0)
     gamma = (total(f * energy) + alpha * f_square) / torch.where(usable, 2.0 * f_f, 1.0)
     alpha = alpha.gather(1, piece)
-    curvature = gamma.gather(1, piece) - alpha * f
+    curvature = unit * (gamma.gather(1, piece) - alpha * f)
 
     step = x.diff(dim=1)
     guess, guess_slope = propagate(alpha[:, :-1], step, value[:, :-1], slope[:, :-1], curvature[:, :-1])
     size = value.abs().amax(dim=1, keepdim=True) + slope.abs().amax(dim=1, keepdim=True) * 1e-2
     off = ((guess - value[:, 1:]).abs() + 1e-2 * (guess_slope - slope[:, 1:]).abs()) > 1e-6 * size
     off = off & (piece[:, 1:] == piece[:, :-1])
-    wrong = total(torch.cat([torch.zeros_like(x[:, :1]), off.to(x.dtype)], dim=1))
-    known = ((wrong < 0.5) & (count > 1.5)).gather(1, piece)
-    return Law(alpha, curvature, known)
+    wrong = total(torch.cat([torch.zeros_like(x[:, :1]), off.to(x.dtype)], dim=1)) > 0.5
+    known = (~wrong & (count > 1.5)).gather(1, piece)
+    return Law(alpha, curvature, known, (wrong & (count > 2.5)).gather(1, piece))
 
 
 def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, highest: float) -> Law:
@@ -175,9 +181,9 @@ def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, 
     omega = 0.5 * (low + high) / h
     found = (ratio < 2.0) & (omega <= highest)
     row, left, right, rise, alpha = row[found], left[found], right[found], rise[found], omega[found] ** 2
-    energy = slope[row, right] ** 2 - slope[row, left] ** 2
-    gamma = 0.5 * (energy / rise + alpha * (value[row, right] + value[row, left]))
-    result = Law(law.alpha.clone(), law.curvature.clone(), law.known.clone())
+    bend = (slope[row, right] - slope[row, left]) * ((slope[row, right] + slope[row, left]) / rise)
+    gamma = 0.5 * (bend + alpha * (value[row, right] + value[row, left]))
+    result = Law(law.alpha.clone(), law.curvature.clone(), law.known.clone(), law.foreign)
     for index in (left, right):
         result.alpha[row, index] = alpha
         result.curvature[row, index] = gamma - alpha * value[row, index]

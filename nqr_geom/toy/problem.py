@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -93,6 +91,3 @@ class ToyProblem(Problem):
     def reference(self) -> NDArray[np.float64]:
         """Exact integrals in closed form, (B, 1)."""
         return self.pieces.integral()[:, None].cpu().numpy()
-
-    def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
-        return {"closed form": self.reference}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from nqr_geom import check
 from nqr_geom.integrator.problem import Observation, Problem, Samples
 from nqr_geom.integrator.samplers import Sampler, Stratified
 from nqr_geom.streams import Stream
@@ -32,11 +33,11 @@ class _Seen:
     @classmethod
     def empty(cls, like: Tensor, n: int) -> _Seen:
         """Room for n samples a row, on the device of `like` (B, ...)."""
-        real = like.new_zeros(3, like.shape[0], n + 2)
-        real[0, :, 1] = 1.0
-        piece = torch.zeros_like(real[0], dtype=torch.int64)
+        x, value, slope = like.new_zeros(3, like.shape[0], n + 2)
+        x[:, 1] = 1.0
+        piece = torch.zeros_like(x, dtype=torch.int64)
         piece[:, 1] = PIECES - 1
-        return cls(*real, piece, like.new_zeros(like.shape[0], PIECES + 1))
+        return cls(x, value, slope, piece, like.new_zeros(like.shape[0], PIECES + 1))
 
     def enter(self, at: int, x: Tensor, look: Observation) -> None:
         """Put samples x (B, k) into columns at, at + 1, ..."""
@@ -100,6 +101,9 @@ class ToySplit(Sampler):
     shape: Shape = field(default_factory=Shape)
 
     name = "toy-split"
+
+    def __post_init__(self) -> None:
+        check.integer("first", self.first, low=1)
 
     def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
         missing = {"derivative", "piece"} - set(problem.schema.names)

@@ -103,7 +103,7 @@ class ToyHermite(Rule):
             there, slope_there = propagate(alpha, t, value, slope, curvature)
             there = torch.where(sure, there, torch.where(same, self._faded(level, t, value, slope), level))
             bend = torch.where(sure, curvature - alpha * (there - value), 0.0)
-            law = Law(torch.where(sure, alpha, 0.0), bend, sure)
+            law = Law(torch.where(sure, alpha, 0.0), bend, sure, torch.zeros_like(sure))
             slope_there = torch.where(sure, slope_there, 0.0)
             ends.append(
                 _Points(torch.full_like(t, at), there, slope_there, torch.full_like(same, last, dtype=torch.int64), law)
@@ -117,6 +117,7 @@ class ToyHermite(Rule):
             join(a.law.alpha, p.law.alpha, z.law.alpha),
             join(a.law.curvature, p.law.curvature, z.law.curvature),
             join(a.law.known, p.law.known, z.law.known),
+            join(a.law.foreign, p.law.foreign, z.law.foreign),
         )
         return _Points(
             join(a.x, p.x, z.x),
@@ -135,8 +136,11 @@ class ToyHermite(Rule):
         _, _, c2, c3, _ = stumpff(torch.where(smooth, p.law.alpha[:, :-1], 0.0) * h * h)
         trapezoid = 0.5 * h * (p.value[:, 1:] + p.value[:, :-1])
         bend = c2 * -p.slope.diff(dim=1) + h * c3 * (p.law.curvature[:, 1:] + p.law.curvature[:, :-1])
+        # Where no law holds: the Hermite-corrected trapezoid, exact for cubics.
+        foreign = (breaks == 0) & p.law.foreign[:, 1:] & p.law.foreign[:, :-1]
+        bend = torch.where(foreign, -p.slope.diff(dim=1) / 6.0, bend)
         result = trapezoid + 0.5 * h * h * bend
-        row, gap = torch.nonzero(~smooth, as_tuple=True)
+        row, gap = torch.nonzero(~(smooth | foreign), as_tuple=True)
         result[row, gap] = self._broken(p, level[row], row, gap, h[row, gap, None], breaks[row, gap, None])
         return result
 
@@ -153,7 +157,8 @@ class ToyHermite(Rule):
 
         left, right = side(gap, u * h), side(gap + 1, (u - 1.0) * h)
         # One break: uniform in the gap, times how likely its jump is. `stays` is the chance to be still left of it.
-        chance = torch.softmax(-0.5 * ((right - left) / self.shape.jump) ** 2, dim=1)
+        jump = ((right - left) / self.shape.jump).clamp(-1e100, 1e100)
+        chance = torch.softmax(-0.5 * jump * jump, dim=1)
         one = 1.0 - (chance.cumsum(dim=1) - 0.5 * chance)
         # Several: order statistics of uniform breaks that leave room for the pieces between them.
         room = 1.0 - self.shape.shortest * (breaks - 1) / h.clamp_min(1e-300)
