@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 from pathlib import Path
 from types import TracebackType
 
-__all__ = ["PeakMemory"]
+__all__ = ["PeakMemory", "release"]
 
 _PROCESS = Path("/proc/self")
 
@@ -18,6 +20,19 @@ def _status(key: str) -> int | None:
     except OSError:
         pass
     return None
+
+
+def release() -> None:
+    """Hand memory that is free but still held back to the system, so that what comes next shows in full.
+
+    Examples
+    --------
+    >>> release()
+    """
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if _PROCESS.exists() else None
+    if trim is not None:
+        trim(0)
 
 
 class PeakMemory:

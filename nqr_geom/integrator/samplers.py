@@ -33,6 +33,7 @@ __all__ = [
 
 _MASK32 = 0xFFFFFFFF
 _BELOW_ONE = 1.0 - 2.0**-53
+_CERTAIN = 1e-8  # posterior variance, relative to the prior's, that counts as none
 
 
 class Sampler(ABC):
@@ -261,12 +262,38 @@ class Pmj(FixedDesign):
         return _scrambled(torch.cat(columns, dim=-1), keys, stream)
 
 
+@lru_cache(maxsize=4096)
+def _least_certain(first: int, n: int, candidates: int, length: float) -> np.ndarray:
+    """Indices of n grid points, each where the posterior variance given the ones before is largest.
+
+    The variance does not depend on the values, so the greedy choice is a pivoted Cholesky factorisation of the
+    kernel matrix. Where nothing is uncertain any more the point farthest from all others comes next.
+    """
+    index = np.arange(candidates)
+    variance = np.ones(candidates)
+    apart = np.full(candidates, candidates)
+    factor = np.zeros((n, candidates))
+    chosen = [first]
+    for i in range(n - 1):
+        pivot = chosen[-1]
+        apart = np.minimum(apart, np.abs(index - pivot))
+        if variance.max() > _CERTAIN:
+            kernel = np.exp(-0.5 * ((index - pivot) / (candidates * length)) ** 2)
+            spread = math.sqrt(max(variance[pivot], _CERTAIN))
+            factor[i] = (kernel - factor[:i, pivot] @ factor[:i]) / spread
+            variance -= factor[i] ** 2
+            variance[apart == 0] = 0.0
+        # Rounded, so that a tie is not decided by the last bit.
+        rank = np.round(variance, 9) if variance.max() > _CERTAIN else apart
+        chosen.append(int(rank.argmax()))
+    return np.array(chosen)
+
+
 @dataclass(frozen=True)
 class BayesianDesign(FixedDesign):
     """Sequential Bayesian quadrature: the first point is random, each next one where the posterior variance is largest.
 
-    The posterior variance of a Gaussian process does not depend on the values, so the greedy choice is a pivoted
-    Cholesky factorisation over candidates (Osborne et al. 2012; Fig. 43).
+    See Osborne et al. 2012 and Fig. 43. On a grid the choice depends on the first point alone, so it is made once.
 
     Parameters
     ----------
@@ -285,27 +312,7 @@ class BayesianDesign(FixedDesign):
 
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
         candidates = max(self.candidates, 4 * n)
-        chunk = max(1, 2**23 // (candidates * n))
-        parts = [self._greedy(part, n, candidates, stream) for part in rows.split(chunk)]
-        return torch.cat(parts)[..., None]
-
-    def _greedy(self, rows: Tensor, n: int, candidates: int, stream: Stream) -> Tensor:
-        batch = torch.arange(rows.shape[0], device=rows.device)
-        shift = stream.uniform(rows[:, None], torch.tensor([0], device=rows.device))
-        grid = (torch.arange(candidates, device=rows.device) + shift) / candidates
-        first = stream.uniform(rows, torch.tensor(1, device=rows.device))
-        variance = torch.ones_like(grid)
-        factor = grid.new_zeros(*grid.shape, n)
-        chosen = []
-        pivot = (first * candidates).long()
-        for i in range(n):
-            at = grid[batch, pivot]
-            chosen.append(at)
-            kernel = torch.exp(-0.5 * ((grid - at[:, None]) / self.length) ** 2)
-            row = factor[batch, pivot, :i]
-            spread = variance[batch, pivot].clamp_min(1e-12).sqrt()
-            factor[..., i] = (kernel - (factor[..., :i] * row[:, None]).sum(dim=-1)) / spread[:, None]
-            variance = variance - factor[..., i] ** 2
-            variance[batch, pivot] = -torch.inf
-            pivot = variance.argmax(dim=1)
-        return torch.stack(chosen, dim=1)
+        shift, first = stream.uniform(rows[:, None], torch.arange(2, device=rows.device)).unbind(dim=1)
+        pivots = (first * candidates).long().tolist()
+        order = np.stack([_least_certain(pivot, n, candidates, self.length) for pivot in pivots])
+        return ((torch.as_tensor(order, device=rows.device) + shift[:, None]) / candidates)[..., None]
