@@ -19,6 +19,8 @@ _CURVE = TokenConfig(
     unit=1.0,  # a winding number is a number of turns, whatever the row
 )
 
+_SIZES = ((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05))
+
 RECIPES: dict[str, Recipe] = {
     recipe.name: recipe
     for recipe in (
@@ -30,7 +32,30 @@ RECIPES: dict[str, Recipe] = {
             consistent="trapezoid",
             config=INetConfig(_TOY, unit_mass=True),
             extra=TOY_TOKENS,
-            sizes=((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05)),
+            sizes=_SIZES,
+        ),
+        Recipe(
+            name="toy-structured",
+            problem="toy",
+            family=toy_batch,
+            base="toy-hermite",
+            consistent="toy-hermite",
+            config=INetConfig(_TOY, unit_mass=True, offset=True),
+            extra=TOY_TOKENS,
+            sizes=_SIZES,
+        ),
+        Recipe(
+            name="gwn-structured",
+            problem="gwn",
+            family=gwn_batch,
+            base="gwn-hermite",
+            consistent="gwn-hermite",
+            # The base is exact but for pieces that it has not seen and queries too close to tell.
+            config=INetConfig(_CURVE, offset=True, doubtful_only=True),
+            extra=CURVE_TOKENS,
+            sizes=((32, 0.7), (16, 0.2), (8, 0.1)),
+            designs=("random", "random", "random", "stratified"),
+            surplus=10,
         ),
         Recipe(
             name="gwn-uniform",
@@ -40,7 +65,7 @@ RECIPES: dict[str, Recipe] = {
             consistent="trapezoid",
             config=INetConfig(_CURVE),
             extra=CURVE_TOKENS,
-            sizes=((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05)),
+            sizes=_SIZES,
         ),
     )
 }

@@ -13,8 +13,10 @@ import torch
 
 from nqr_geom import registry
 from nqr_geom.integrator.learn.inet import INet, LearnedRule
+from nqr_geom.integrator.learn.publish import fit_shares, measure_box, publish
 from nqr_geom.integrator.learn.recipe import draw_samples
-from nqr_geom.integrator.learn.zoo import Card, Model, fit_shares, load, measure_box, save
+from nqr_geom.integrator.learn.train import TrainConfig, train
+from nqr_geom.integrator.learn.zoo import Card, Model, load, save
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.recipes import RECIPES
 from nqr_geom.streams import Stream
@@ -171,3 +173,27 @@ def test_shares_fall_beyond_training_and_stay_at_zero() -> None:
 def test_share_is_linear_in_log_n() -> None:
     plain = card()
     assert [plain.share(n) for n in (1, 8, 32, 64, 128, 129)] == [1.0, 1.0, 1.0, 0.625, 0.25, 0.0]
+
+
+def test_a_run_becomes_a_model(tmp_path: Path) -> None:
+    config = TrainConfig(iterations=2, batch=8, warmup=1, every=2, validation=16)
+    net = train(SMALL, tmp_path / "run", config, precision="32-true", progress=False)
+    made = publish(SMALL, tmp_path / "run", tmp_path / "models", command="a test")
+    model = load(tmp_path / "models", SMALL)
+    assert model.card == made
+    assert (made.iterations, made.batch, made.seed) == (2, 8, 0)
+    assert torch.equal(model.learned.net.head.weight, net.head.weight)
+
+
+def test_only_a_run_of_the_recipe_becomes_a_model(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="run: expected a folder with a checkpoint"):
+        publish(SMALL, tmp_path / "nothing", tmp_path / "models")
+    train(
+        SMALL,
+        tmp_path / "run",
+        TrainConfig(iterations=1, batch=8, every=1, validation=16),
+        precision="32-true",
+        progress=False,
+    )
+    with pytest.raises(ValueError, match="run: expected a run of 'other', got one of 'toy-uniform'"):
+        publish(replace(SMALL, name="other"), tmp_path / "run", tmp_path / "models")

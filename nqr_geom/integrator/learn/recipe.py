@@ -58,6 +58,9 @@ class Recipe:
         Numbers of samples and their shares of the iterations.
     designs : tuple of str
         Samplers; every batch is divided evenly among them.
+    surplus : int
+        Integrals that are drawn for one that is learned from. A network that corrects only what its base rule flags
+        (`INetConfig.doubtful_only`) learns from flagged integrals alone.
     huber : float
         Errors beyond it count linearly instead of squared, so that one near singularity does not drown a batch.
     inner, outer : float
@@ -73,6 +76,7 @@ class Recipe:
     extra: Extra | None = None
     sizes: tuple[tuple[int, float], ...] = ((32, 1.0),)
     designs: tuple[str, ...] = ("random", "stratified")
+    surplus: int = 1
     huber: float = 1.0
     inner: float = 0.2
     outer: float = 0.8

@@ -99,6 +99,22 @@ def draw_batch(recipe: Recipe, rows: Tensor, n: int, seed: int, split: str) -> t
     return batch, sort_samples(samples)[0]
 
 
+def draw_lesson(recipe: Recipe, rows: Tensor, n: int, seed: int) -> tuple[Batch, Samples]:
+    """What one iteration learns from: `rows` (B,), or as many of `surplus` times more rows as its base rule flags."""
+    if not recipe.config.doubtful_only:
+        return draw_batch(recipe, rows, n, seed, "train")
+    more = (rows[:, None] * recipe.surplus + torch.arange(recipe.surplus, device=rows.device)).flatten()
+    batch, samples = draw_batch(recipe, more, n, seed, "train")
+    flags = recipe.base_rule().combine(samples).fallback
+    chosen = torch.arange(len(more)) if flags is None else flags.nonzero()[: len(rows), 0]
+    if not len(chosen):
+        chosen = torch.arange(1, device=rows.device)
+    problem = batch.problem.take(chosen)
+    x = samples.x[chosen]
+    pdf = None if samples.pdf is None else samples.pdf[chosen]
+    return Batch(problem, batch.answer[chosen]), Samples(x, problem.evaluate(x), pdf, samples.design)
+
+
 def _huber(error: Tensor, knee: float) -> Tensor:
     """error^2 up to the knee, linear growth beyond (pseudo-Huber)."""
     return 2.0 * knee**2 * (torch.sqrt(1.0 + (error / knee) ** 2) - 1.0)
@@ -200,7 +216,7 @@ def train(
                 group["lr"] = learning_rate(config, iteration)
             rows = torch.arange(iteration * config.batch, (iteration + 1) * config.batch, device=fabric.device)
             rows = rows[fabric.global_rank :: fabric.world_size]
-            batch, samples = draw_batch(recipe, rows, recipe.size(sizes, iteration), config.seed, "train")
+            batch, samples = draw_lesson(recipe, rows, recipe.size(sizes, iteration), config.seed)
             value = loss(recipe, model, batch, samples)
             fabric.backward(value)
             fabric.clip_gradients(model, stepper, max_norm=config.clip, error_if_nonfinite=False)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,15 +21,12 @@ from nqr_geom import check, registry
 from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule
 from nqr_geom.integrator.learn.recipe import Recipe
 from nqr_geom.integrator.learn.tokens import Extra, sort_samples
-from nqr_geom.integrator.learn.train import draw_batch
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 
-__all__ = ["Card", "Model", "fit_shares", "load", "measure_box", "save"]
+__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save"]
 
 BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
-_BLEND_SAMPLES = 2**18  # validation samples spent on each size
-_LEAST_SHARE = 0.02  # below it the network is not worth its time
 _MARGIN = 0.02  # of the trained range, beyond either end
 
 
@@ -169,8 +165,8 @@ def load(folder: str | Path, recipe: Recipe) -> Model:
     )
 
 
-def _checked(samples: Samples, extra: Extra | None) -> Tensor:
-    """The quantities that tell whether data resemble the family, (B, N T, K)."""
+def checked(samples: Samples, extra: Extra | None) -> Tensor:
+    """The quantities of samples that tell whether data resemble a family, (B, N T, K)."""
     if extra is None or not extra.checked:
         return samples.x.new_zeros(samples.x.shape[0], 1, 0)
     return extra.compute(sort_samples(samples)[0])[..., list(extra.checked)].flatten(1, 2)
@@ -198,7 +194,7 @@ class Model(Rule):
 
     def inside(self, samples: Samples) -> Tensor:
         """Integrals that resemble the training family, (B,) bool."""
-        seen = _checked(samples, self.learned.extra)
+        seen = checked(samples, self.learned.extra)
         low, high = seen.new_tensor(self.card.low), seen.new_tensor(self.card.high)
         slack = _MARGIN * (high - low)
         inside = ((seen >= low - slack) & (seen <= high + slack)).all(dim=2).all(dim=1)
@@ -236,44 +232,3 @@ def _mix_offsets(part: Tensor, learned: Combination, safe: Combination) -> Tenso
     most = max(mine.ndim, theirs.ndim)
     mine, theirs = (offset[:, None] if offset.ndim < most else offset for offset in (mine, theirs))
     return _mix(part.reshape(-1, *[1] * (most - 1)), mine, theirs)
-
-
-def measure_box(recipe: Recipe, integrals: int = 2**15, seed: int = 0) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Range of the checked quantities over training integrals, at all trained sizes."""
-    low, high = [], []
-    for n, _ in recipe.sizes:
-        for rows in torch.arange(integrals).split(2**12):
-            seen = _checked(draw_batch(recipe, rows, n, seed, "train")[1], recipe.extra)
-            low.append(seen.amin(dim=(0, 1)))
-            high.append(seen.amax(dim=(0, 1)))
-    ends = torch.stack(low).amin(dim=0), torch.stack(high).amax(dim=0)
-    return tuple(ends[0].tolist()), tuple(ends[1].tolist())
-
-
-@torch.no_grad()
-def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, seed: int = 0) -> tuple[float, ...]:
-    """Share of the network at each N that minimises the squared error on validation integrals.
-
-    Beyond the trained sizes shares only fall, and from the first negligible one on they are 0.
-    """
-    learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
-    safe = registry.make("rule", recipe.consistent)
-    trained = max(n for n, _ in recipe.sizes)
-    shares: list[float] = []
-    for n in sizes:
-        if shares and shares[-1] == 0.0:
-            shares.append(0.0)
-            continue
-        gain = total = 0.0
-        for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
-            batch, samples = draw_batch(recipe, rows, n, seed, "validation")
-            samples, link = batch.problem.finalize(samples)
-            mine, theirs = (link(rule.combine(samples).estimate(samples)) - batch.answer for rule in (learned, safe))
-            gain += float((theirs * (theirs - mine)).sum())
-            total += float((theirs - mine).square().sum())
-        share = min(1.0, max(0.0, gain / total)) if total > 0.0 else 0.0
-        if n > trained:
-            share = min(share, shares[-1]) if shares else share
-            share = share if share >= _LEAST_SHARE else 0.0
-        shares.append(share)
-    return tuple(shares)

@@ -1,0 +1,120 @@
+"""From a training run to a model: its box, its shares, its card."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from nqr_geom import registry
+from nqr_geom.integrator.learn.inet import INet, LearnedRule
+from nqr_geom.integrator.learn.recipe import Recipe
+from nqr_geom.integrator.learn.run import RunFolder
+from nqr_geom.integrator.learn.train import draw_batch
+from nqr_geom.integrator.learn.zoo import BLEND_SIZES, Card, checked, save
+
+__all__ = ["fit_shares", "measure_box", "publish"]
+
+_BLEND_SAMPLES = 2**18  # validation samples spent on each size
+_LEAST_SHARE = 0.02  # below it the network is not worth its time
+
+
+def measure_box(recipe: Recipe, integrals: int = 2**15, seed: int = 0) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Range of the checked quantities over training integrals, at all trained sizes."""
+    low, high = [], []
+    for n, _ in recipe.sizes:
+        for rows in torch.arange(integrals).split(2**12):
+            seen = checked(draw_batch(recipe, rows, n, seed, "train")[1], recipe.extra)
+            low.append(seen.amin(dim=(0, 1)))
+            high.append(seen.amax(dim=(0, 1)))
+    ends = torch.stack(low).amin(dim=0), torch.stack(high).amax(dim=0)
+    return tuple(ends[0].tolist()), tuple(ends[1].tolist())
+
+
+@torch.no_grad()
+def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, seed: int = 0) -> tuple[float, ...]:
+    """Share of the network at each N that minimises the squared error on validation integrals.
+
+    Beyond the trained sizes shares only fall, and from the first negligible one on they are 0.
+    """
+    learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
+    safe = registry.make("rule", recipe.consistent)
+    trained = max(n for n, _ in recipe.sizes)
+    shares: list[float] = []
+    for n in sizes:
+        if shares and shares[-1] == 0.0:
+            shares.append(0.0)
+            continue
+        gain = total = 0.0
+        for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
+            batch, samples = draw_batch(recipe, rows, n, seed, "validation")
+            samples, link = batch.problem.finalize(samples)
+            mine, theirs = (link(rule.combine(samples).estimate(samples)) - batch.answer for rule in (learned, safe))
+            gain += float((theirs * (theirs - mine)).sum())
+            total += float((theirs - mine).square().sum())
+        share = min(1.0, max(0.0, gain / total)) if total > 0.0 else 0.0
+        if n > trained:
+            share = min(share, shares[-1]) if shares else share
+            share = share if share >= _LEAST_SHARE else 0.0
+        shares.append(share)
+    return tuple(shares)
+
+
+def publish(recipe: Recipe, run: str | Path, folder: str | Path, command: str = "") -> Card:
+    """Make a model of a run's averaged weights.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What was trained.
+    run : path
+        Folder of the run.
+    folder : path
+        Where the weights and the card go.
+    command : str
+        What trained them, for the card.
+
+    Returns
+    -------
+    Card
+        Without a table of errors: that is measured on the model as it ships.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no run of this recipe.
+    """
+    path = RunFolder(Path(run)).checkpoint
+    if not path.exists():
+        raise ValueError(f"run: expected a folder with a checkpoint, got {str(run)!r}")
+    state = torch.load(path, weights_only=True)
+    identity, trained = json.loads(state["identity"]), json.loads(state["train"])
+    if identity["recipe"] != recipe.name:
+        raise ValueError(f"run: expected a run of {recipe.name!r}, got one of {identity['recipe']!r}")
+    net = INet(recipe.config)
+    net.load_state_dict(state["average"])
+    low, high = measure_box(recipe, seed=trained["seed"])
+    card = Card(
+        name=recipe.name,
+        problem=recipe.problem,
+        base=recipe.base,
+        consistent=recipe.consistent,
+        config=recipe.config,
+        iterations=state["iteration"],
+        batch=trained["batch"],
+        seed=trained["seed"],
+        hours=round(state["seconds"] / 3600.0, 3),
+        family={
+            "integrals": f"{recipe.family.__module__}.{recipe.family.__qualname__}",
+            "samples": {str(n): share for n, share in recipe.sizes},
+            "designs": list(recipe.designs),
+            "splits": {"weights": "train", "box": "train", "shares": "validation", "table": "test"},
+        },
+        low=low,
+        high=high,
+        shares=fit_shares(recipe, net, seed=trained["seed"]),
+        command=command,
+    )
+    return save(folder, net, card)
