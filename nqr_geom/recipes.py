@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from pathlib import Path
+
+from nqr_geom import check
 from nqr_geom.curves.tokens import CURVE_TOKENS
 from nqr_geom.curves.training import gwn_batch
 from nqr_geom.integrator.learn.inet import INetConfig
 from nqr_geom.integrator.learn.recipe import Recipe
 from nqr_geom.integrator.learn.tokens import TokenConfig
+from nqr_geom.integrator.learn.zoo import Model, load
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
 
-__all__ = ["RECIPES"]
+__all__ = ["RECIPES", "folder", "model"]
 
 _TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=TOY_TOKENS.size, centred=True)
 _CURVE = TokenConfig(
@@ -69,3 +74,27 @@ RECIPES: dict[str, Recipe] = {
         ),
     )
 }
+
+
+def folder(problem: str) -> Path:
+    """Where the models of a problem lie."""
+    room = {"toy": "toy", "gwn": "curves", "sd": "curves"}[check.choice("problem", problem, ["toy", "gwn", "sd"])]
+    return Path(__file__).parent / room / "models"
+
+
+@lru_cache(maxsize=8)
+def model(name: str) -> Model:
+    """The shipped model of a recipe, as a rule.
+
+    Parameters
+    ----------
+    name : str
+        Key of `RECIPES`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such recipe or model, or its card and weights do not belong together.
+    """
+    recipe = RECIPES[check.choice("name", name, sorted(RECIPES))]
+    return load(folder(recipe.problem), recipe)

@@ -125,6 +125,22 @@ def test_another_run_is_not_continued(tmp_path: Path, change: dict[str, int], me
         run(tmp_path, SHORT, wider)
 
 
+def test_a_run_may_start_from_another(tmp_path: Path) -> None:
+    first = run(tmp_path / "first", SHORT)
+    other = replace(TINY, name="other", base="trapezoid", config=replace(TINY.config, offset=True))
+    no_step = replace(SHORT, iterations=1, rate=1e-30)
+    second = train(
+        other, tmp_path / "second", no_step, start_from=tmp_path / "first", precision="32-true", progress=False
+    )
+    for (name, a), b in zip(first.named_parameters(), second.parameters(), strict=True):
+        np.testing.assert_allclose(b.detach(), 0.0 if name.startswith("head.") else a.detach(), atol=1e-20)
+    wide = replace(TINY, config=replace(TINY.config, width=32))
+    with pytest.raises(ValueError, match="start_from: expected a run of the same tokens, layers and width"):
+        train(wide, tmp_path / "third", no_step, start_from=tmp_path / "first", progress=False)
+    with pytest.raises(ValueError, match="start_from: expected a folder with a checkpoint"):
+        train(TINY, tmp_path / "fourth", no_step, start_from=tmp_path / "nothing", progress=False)
+
+
 def test_two_processes_train_together(tmp_path: Path) -> None:
     """Over gloo: each sees its half of every batch, and the gradients are averaged."""
     import subprocess

@@ -155,6 +155,7 @@ def train(
     out: str | Path,
     config: TrainConfig,
     *,
+    start_from: str | Path | None = None,
     devices: int = 1,
     num_nodes: int = 1,
     accelerator: str = "cpu",
@@ -171,6 +172,9 @@ def train(
         Folder of the run: `checkpoint.pt` (weights, average, optimiser), `loss.csv`, `loss.png`.
     config : TrainConfig
         How long and how fast. A continuation may change the length and the rates, not the batch or the seed.
+    start_from : path, optional
+        Run of another recipe with the same tokens, layers and width: a new run begins with its averaged weights, the
+        heads aside, which always start as the base rule.
     devices, num_nodes, accelerator, precision
         As for `lightning_fabric.Fabric`.
     progress : bool
@@ -191,6 +195,8 @@ def train(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         net = INet(recipe.config)
+    if start_from is not None:
+        _adopt(net, RunFolder(Path(start_from)).checkpoint)
     average = INet(recipe.config)
     average.load_state_dict(net.state_dict())
     optimizer = torch.optim.AdamW(
@@ -258,6 +264,18 @@ def _fabric(devices: int, num_nodes: int, accelerator: str, precision: str) -> A
     )
     fabric.launch()
     return fabric
+
+
+def _adopt(net: INet, checkpoint: Path) -> None:
+    """Copy everything but the heads from another run."""
+    if not checkpoint.exists():
+        raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(checkpoint.parent)!r}")
+    weights = torch.load(checkpoint, weights_only=True)["average"]
+    own = {name: tensor for name, tensor in net.state_dict().items() if not name.startswith("head.")}
+    wrong = [name for name, tensor in own.items() if name not in weights or weights[name].shape != tensor.shape]
+    if wrong:
+        raise ValueError(f"start_from: expected a run of the same tokens, layers and width, these differ: {wrong}")
+    net.load_state_dict({name: weights[name] for name in own}, strict=False)
 
 
 def _identity(recipe: Recipe, config: TrainConfig) -> str:

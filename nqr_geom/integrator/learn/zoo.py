@@ -190,7 +190,9 @@ class Model(Rule):
     learned: LearnedRule
     consistent: Rule
 
-    name = "inet"
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return f"inet-{self.card.name}"
 
     def inside(self, samples: Samples) -> Tensor:
         """Integrals that resemble the training family, (B,) bool."""
