@@ -164,7 +164,7 @@ def reconstruct(samples: Samples, rule: str) -> Segments:
     r_end, t_end = _extension(r, t, left[0], left[1], left[2][..., 0].clamp_min(_TINY), high - s)
     alone = torch.linalg.vector_norm(t, dim=-1)
     has_right, has_left = _padded(joined, after=True), _padded(joined, after=False)
-    true = torch.ones_like(changes[:, :1])
+    true = torch.ones_like(piece[:, :1], dtype=torch.bool)
 
     parts = [
         (bezier_of(r[:, :-1], t[:, :-1], r[:, 1:], t[:, 1:], step), error, joined),
@@ -244,15 +244,32 @@ def winding(segments: Segments) -> tuple[Tensor, Tensor]:
 def _angle(control: Tensor) -> Tensor:
     """Angle between the ends as seen from the origin, (M,)."""
     start, end = control[:, 0], control[:, 3]
-    cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
-    return torch.atan2(cross, (start * end).sum(dim=1))
+    return angle(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0], (start * end).sum(dim=1))
+
+
+def angle(y: Tensor, x: Tensor) -> Tensor:
+    """atan2(y, x) with the same bits wherever a number stands in its tensor, which torch.atan2 does not promise.
+
+    Examples
+    --------
+    >>> angle(torch.tensor([0.0, 1.0, -2.0]), torch.tensor([-1.0, 1.0, 0.0])) / math.pi
+    tensor([ 1.0000,  0.2500, -0.5000])
+    """
+    size = torch.maximum(x.abs(), y.abs())
+    size = torch.where(size > 0.0, size, 1.0)
+    x, y = x / size, y / size
+    radius = (x * x + y * y).sqrt()
+    # Half the angle, by the quotient that does not cancel; on the negative axis (radius - x) / 0 is an infinity.
+    front = torch.where(radius > 0.0, radius + x, 1.0)
+    half = torch.where(x >= 0.0, y / torch.where(x >= 0.0, front, 1.0), (radius - x) / torch.where(x < 0.0, y, 1.0))
+    return 2.0 * torch.atan(half)
 
 
 def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
     """Integral of exp(-alpha (|x| - shift)) dl over the rebuilt curves, as exp(exponent) times a sum.
 
-    Segments are halved until a Gauss rule is sure of them: short against 1 / alpha, and no longer than twice their
-    distance (closer by, |x| has a kink) unless too short to matter. What lies 45 / alpha farther than the nearest
+    Segments are halved until a Gauss rule is sure of them: short against 1 / alpha, and no longer than their distance
+    (closer by, |x| has a kink) unless too short to matter. What lies 45 / alpha farther than the nearest
     sample cannot be seen in float64 and is left out. The curve may come closer than every sample, so the largest
     exponent is kept apart.
 
@@ -276,7 +293,7 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tens
         nearest = (0.5 * (ends.sum(dim=-1) - legs)).clamp_min(0.0)  # no point of the curve is closer
         sharp = alpha[row]
         seen = sharp * (nearest - shift[row]) < 45.0
-        sure = (sharp * legs <= 4.0) & ((legs <= 2.0 * nearest) | (sharp * legs <= 1e-5))
+        sure = (sharp * legs <= 4.0) & ((legs <= nearest) | (sharp * legs <= 1e-5))
         done = seen & (sure | (level == _LEVELS - 1))
         powers, lengths = _gauss(control[done], sharp[done], shift[row[done]])
         largest = exponent.scatter_reduce(0, row[done], powers.amax(dim=1), "amax")
@@ -296,7 +313,15 @@ def _gauss(control: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tenso
     u = 1.0 - nodes
     basis = torch.stack([u**3, 3.0 * nodes * u**2, 3.0 * nodes**2 * u, nodes**3], dim=1)
     slope = torch.stack([u**2, 2.0 * nodes * u, nodes**2], dim=1)
-    position = torch.einsum("gk,mkd->mgd", basis, control)
-    speed = 3.0 * torch.linalg.vector_norm(torch.einsum("gk,mkd->mgd", slope, control.diff(dim=1)), dim=-1)
+    position = _combined(basis, control)
+    speed = 3.0 * torch.linalg.vector_norm(_combined(slope, control.diff(dim=1)), dim=-1)
     distance = torch.linalg.vector_norm(position, dim=-1)
     return -alpha[:, None] * (distance - shift[:, None]), speed * weights
+
+
+def _combined(basis: Tensor, control: Tensor) -> Tensor:
+    """Points (M, G, 2) of basis (G, K) and control (M, K, 2); not a matrix product, whose bits depend on M."""
+    point = basis[:, 0, None] * control[:, None, 0]
+    for k in range(1, basis.shape[1]):
+        point = point + basis[:, k, None] * control[:, None, k]
+    return point

@@ -33,6 +33,8 @@ class GwnHermite(Rule):
     name = "gwn-hermite"
 
     def combine(self, samples: Samples) -> Combination:
+        if "alpha" in samples.seen.features:
+            raise ValueError(f"rule: {self.name!r} gives winding numbers, these are samples of a smoothed distance")
         segments = hermite.reconstruct(samples, self.name)
         value, doubtful = hermite.winding(segments)
         return Combination(samples.x.new_zeros(1, 1, 1, 1), value[:, None], doubtful | segments.missing)

@@ -195,6 +195,15 @@ class GaussLegendre(Rule):
         return Combination(weights[..., None, None])
 
 
+def _canonical(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (B, N, D) by their first coordinate, and their indices (B, N).
+
+    Ill-conditioned systems magnify the last bit, so it must not depend on the order in which samples came.
+    """
+    order = x[..., 0].argsort(dim=1)
+    return x.gather(1, order[..., None].expand_as(x)), order
+
+
 def _legendre_basis(x: Tensor, degree: int) -> Tensor:
     """All products of shifted Legendre polynomials of total degree <= `degree`, (B, N, D) -> (B, N, M).
 
@@ -236,8 +245,9 @@ class Regression(Rule):
 
     def combine(self, samples: Samples) -> Combination:
         self._need_one_technique(samples)
-        weight = 1.0 / self._need_pdf(samples)[..., 0]
-        basis = _legendre_basis(samples.x, self.degree)
+        x, order = _canonical(samples.x)
+        weight = 1.0 / self._need_pdf(samples)[..., 0].gather(1, order)
+        basis = _legendre_basis(x, self.degree)
         weighted = basis * weight[..., None]
         gram = torch.stack([row_mean(weighted * column[..., None]) for column in basis.unbind(dim=-1)], dim=1)
         # The integral of the fit is its first coefficient; the residual's mean corrects what the fit leaves.
@@ -247,7 +257,7 @@ class Regression(Rule):
         weights = weight
         for column, share in zip(weighted.unbind(dim=-1), solution.unbind(dim=-1), strict=True):
             weights = weights + column * share[:, None]
-        return Combination(weights[..., None, None])
+        return Combination(torch.empty_like(weights).scatter(1, order, weights)[..., None, None])
 
 
 @dataclass(frozen=True)
@@ -269,14 +279,15 @@ class BayesianQuadrature(Rule):
 
     def combine(self, samples: Samples) -> Combination:
         self._need_one_technique(samples)
-        x = samples.x
+        x, order = _canonical(samples.x)
         gap = (x[:, :, None] - x[:, None]) / self.length
         kernel = torch.exp(-0.5 * gap.square().sum(-1))
         kernel.diagonal(dim1=1, dim2=2).add_(self.jitter)
         scale = math.sqrt(2.0) * self.length
         axis = torch.erf((1.0 - x) / scale) + torch.erf(x / scale)
         mean = (self.length * math.sqrt(math.pi / 2.0) * axis).prod(dim=-1)
-        return Combination(samples.n * cholesky_weights(kernel, mean)[..., None, None])
+        weights = torch.empty_like(mean).scatter(1, order, cholesky_weights(kernel, mean))
+        return Combination(samples.n * weights[..., None, None])
 
 
 class Stratification(Rule):

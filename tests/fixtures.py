@@ -1,0 +1,123 @@
+"""Which problem exercises which registry entry, so that loops over the registry reach everything or fail.
+
+An entry says what it needs; `PROBLEMS` answers with problems that bring it. An entry with a need that is not listed
+here raises in `problems_for`, and its test is red until someone adds a problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import torch
+
+from nqr_geom import registry
+from nqr_geom.integrator.problem import Problem, Samples
+from nqr_geom.registry import Entry
+from nqr_geom.streams import Stream
+from tests.integrands import TwoTechniques, smooth
+
+_CONTROL = np.random.default_rng(3).random((6, 3, 2))
+_POINTS = np.random.default_rng(4).random((5, 2))
+
+
+def _curve_problem(kind: str) -> Problem:
+    """Six quadratic pieces and five queries."""
+    import nqr_geom as ng
+
+    return getattr(ng.problems, kind)(ng.Curve.bezier(_CONTROL), _POINTS)
+
+
+def _toy() -> Problem:
+    import nqr_geom as ng
+
+    return ng.problems.toy(5)
+
+
+PROBLEMS: dict[str, Callable[[], Problem]] = {
+    "line": smooth,
+    "square": lambda: smooth(2),
+    "two-techniques": TwoTechniques,
+    "toy": _toy,
+    "gwn": lambda: _curve_problem("gwn"),
+    "sd": lambda: _curve_problem("sd"),
+}
+
+_ANY = ("line", "square", "toy", "gwn", "sd")
+
+# What an entry needs -> the problems that bring it.
+BRINGS: dict[str, tuple[str, ...]] = {
+    "": _ANY,
+    "pdf": _ANY,
+    "strata": _ANY,
+    "nodes": _ANY,
+    "control": ("line", "square"),
+    "techniques": ("two-techniques",),
+    "curves": ("gwn", "sd"),
+    "toy": ("toy",),
+    "gwn": ("gwn",),
+    "sd": ("sd",),
+}
+
+
+@cache
+def problem(name: str) -> Problem:
+    """A test problem by name, built once."""
+    return PROBLEMS[name]()
+
+
+def problems_for(entry: Entry) -> list[str]:
+    """Names of all test problems that an entry has to work on."""
+    if entry.needs not in BRINGS:
+        raise AssertionError(f"tests/fixtures.py knows no problem for {entry.name!r}, which needs {entry.needs!r}")
+    return [name for name in BRINGS[entry.needs] if entry.dims == "any" or problem(name).dim == 1]
+
+
+@cache
+def draw(problem_name: str, sampler: str, n: int, row: int | None = None) -> Samples:
+    """Samples of a test problem, or of one of its integrals alone, ready for a rule; treat them as read-only."""
+    at = problem(problem_name)
+    if row is not None:
+        at = at.take(slice(row, row + 1))
+    return at.finalize(registry.make("sampler", sampler).draw(at, n, Stream(0)))[0]
+
+
+def samplers_for(problem_name: str) -> list[str]:
+    """Names of all registered samplers that have to work on a test problem."""
+    at, found = problem(problem_name), []
+    for entry in registry.entries("sampler"):
+        anywhere = not entry.needs and (entry.dims == "any" or at.dim == 1)
+        if anywhere or problem_name in problems_for(entry):
+            found.append(entry.name)
+    return found
+
+
+def brings(samples: Samples, needs: str) -> bool:
+    """Whether samples of a fitting problem bring what a rule declares to need."""
+    return {
+        "pdf": samples.pdf is not None,
+        "control": samples.pdf is not None,
+        "techniques": samples.pdf is not None,
+        "strata": samples.stratum is not None,
+        "nodes": samples.design == "gauss-legendre",
+    }.get(needs, True)
+
+
+def accepted(rule: Entry, n: int) -> list[tuple[str, str, Samples]]:
+    """Problem, sampler and samples of every combination that a rule declares to accept; never empty."""
+    found = [
+        (name, sampler, samples)
+        for name in problems_for(rule)
+        for sampler in samplers_for(name)
+        if brings(samples := draw(name, sampler, n), rule.needs)
+    ]
+    assert found, f"no sampler brings what rule {rule.name!r} needs ({rule.needs!r})"
+    return found
+
+
+def with_values(samples: Samples, value: torch.Tensor) -> Samples:
+    """The same samples of another integrand; a derivative, where there is one, is that of a constant."""
+    features = {k: torch.zeros_like(v) if k == "derivative" else v for k, v in samples.seen.features.items()}
+    return replace(samples, seen=replace(samples.seen, value=value.expand_as(samples.value), features=features))
