@@ -137,6 +137,14 @@ def distance(
     _field(curve, lambda points: answer(curve, points), out, resolution, "distance", signed=signed)
 
 
+def _on_grid(problem: str, curve: Curve, resolution: int) -> tuple[Any, list[int]]:
+    """A problem on a grid around a curve, and budgets from two samples a piece on."""
+    from nqr_geom.pictures import Window
+
+    points = Window.around(curve.bounds, resolution).points
+    return getattr(ng.problems, problem)(curve, points), [2 * curve.n_pieces * k for k in (1, 2, 4)]
+
+
 def _measure(problem: Any, methods: Sequence[str] | None, budgets: Sequence[int], runs: int) -> Frontier:
     with _progress() as progress:
         task = progress.add_task("measuring")
@@ -190,17 +198,15 @@ def frontier(
     if out is not None:
         check.choice("out", out.suffix.lower(), [".png", ".json"])
     if input is not None:
-        from nqr_geom.pictures import Window
-
         if problem == "toy":
             raise ValueError("problem: expected gwn or sd for a curve of your own, got 'toy'")
-        curve = _read(input, text)
-        made = getattr(ng.problems, problem)(curve, Window.around(curve.bounds, 32).points)
+        made, usual = _on_grid(problem, _read(input, text), 24)
     else:
         family = registry.entry("problem", problem).load()
         size = {} if problem == "toy" else {"resolution": 24}
         made = family.family(check.integer("shapes", shapes, low=1), **size)  # type: ignore[attr-defined]
-    measured = _measure(made, methods, budgets or [8, 16, 32, 64], runs)
+        usual = [8, 16, 32, 64]
+    measured = _measure(made, methods, budgets or usual, runs)
     _show(measured, f"{problem}: error against time")
     if out is not None:
         measured.plot(out) if out.suffix.lower() == ".png" else measured.to_json(out)
@@ -216,16 +222,13 @@ def demo(
     """Winding numbers of a shipped SVG, smoothed distances of a text, and an error-against-time table."""
     from importlib.resources import as_file, files
 
-    from nqr_geom.pictures import Window
-
     with as_file(files("nqr_geom") / "data" / "fish.svg") as path:
         gwn(str(path), resolution=resolution, out=out / "gwn-fish.png")
-        fish = ng.Curve.from_svg(path, flip_y=True)
+    letters = _read("nqr", text=True)
     sd("nqr", text=True, resolution=resolution, out=out / "sd-text.png")
-    problem = ng.problems.gwn(fish, Window.around(fish.bounds, 24).points)
-    pieces = 2 * fish.n_pieces
-    measured = _measure(problem, ["mc", "stratified", "trapezoid", "structured"], [pieces, 2 * pieces, 4 * pieces], 8)
-    _show(measured, f"winding number of the fish ({fish.n_pieces} pieces): error against time")
+    problem, budgets = _on_grid("gwn", letters, 16)
+    measured = _measure(problem, ["mc", "stratified", "trapezoid", "structured"], budgets[:2], 8)
+    _show(measured, f"winding number of the letters ({letters.n_pieces} pieces): error against time")
     chart = measured.plot(out / "error-against-time.png")
     out_console.print(f"wrote {chart}", highlight=False)
 

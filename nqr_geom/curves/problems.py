@@ -6,6 +6,7 @@ and tangent at s, and the piece that s lies in (Section 6.2). The exact answers 
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -290,6 +291,25 @@ class GwnProblem(CurveProblem):
         from nqr_geom.curves.winding import gwn
 
         return self._exact(gwn)
+
+    def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
+        """The exact answer, and libigl's on polygons within 1e-3 of the curves' size where it is installed."""
+        peers = super().peers()
+        if peers and importlib.util.find_spec("igl") is not None:
+            peers["libigl, flattened"] = self._libigl
+        return peers
+
+    def _libigl(self) -> NDArray[np.float64]:
+        import igl
+
+        def flattened(curve: Curve, points: NDArray[np.float64]) -> NDArray[np.float64]:
+            xmin, ymin, xmax, ymax = curve.bounds
+            edges = curve.to_polyline(1e-3 * (max(xmax - xmin, ymax - ymin) or 1.0)).control[:, :2]
+            index = np.arange(2 * len(edges)).reshape(-1, 2)
+            answer: NDArray[np.float64] = igl.winding_number(edges.reshape(-1, 2), index, points)
+            return answer
+
+        return self._exact(flattened)
 
 
 @dataclass(frozen=True)

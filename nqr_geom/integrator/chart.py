@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["draw"]
 
 _MARKERS = "osD^vPXdph"
-_SMALLEST = 1e-34  # the square of a rounding error; where an answer is exact the logarithm has to end
+_SMALLEST = 1e-20  # errors below 1e-10 count as none: where an answer is exact the logarithm has to end
 
 
 def draw(frontier: Frontier, path: Path) -> Path:

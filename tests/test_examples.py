@@ -1,0 +1,43 @@
+"""Every example runs, writes its picture, and gives the number it is about."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture(autouse=True)
+def examples_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES.parent)
+
+
+def test_no_example_is_left_out() -> None:
+    names = {path.stem for path in EXAMPLES.glob("*.py")} - {"__init__"}
+    assert names == {"gwn_of_svg", "sd_of_text", "toy_rules", "toy_frontier"}
+
+
+def test_gwn_of_svg(tmp_path: Path) -> None:
+    area = import_module("examples.gwn_of_svg").main(tmp_path, resolution=200)
+    assert area == pytest.approx(3.52e4, rel=0.01)
+    assert (tmp_path / "gwn_of_svg.png").stat().st_size > 10_000
+
+
+def test_sd_of_text(tmp_path: Path) -> None:
+    gap = import_module("examples.sd_of_text").main(tmp_path, resolution=120)
+    assert gap == pytest.approx(-0.0145, abs=2e-3)
+    assert (tmp_path / "sd_of_text.png").stat().st_size > 10_000
+
+
+def test_toy_rules(tmp_path: Path) -> None:
+    errors = import_module("examples.toy_rules").main(tmp_path)
+    assert abs(errors["stratified", "toy-hermite"]) < 2e-3 < abs(errors["stratified", "trapezoid"])
+    assert (tmp_path / "toy_rules.png").stat().st_size > 10_000
+
+
+def test_toy_frontier(tmp_path: Path) -> None:
+    assert import_module("examples.toy_frontier").main(tmp_path, integrands=200, runs=2) > 4000.0
+    assert (tmp_path / "toy_frontier.png").stat().st_size > 10_000
