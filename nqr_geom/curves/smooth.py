@@ -41,7 +41,7 @@ def sd(curve: Curve, points: ArrayLike, alpha: float = 35.0) -> NDArray[np.float
     Returns
     -------
     (m,) float64 array
-        In units of length. The integral is right to about 1e-12 relative, hence sd to 1e-12/alpha plus the rounding
+        In units of length. The integral is right to about 1e-13 relative, hence sd to 1e-13/alpha plus the rounding
         of the distance itself.
 
     Raises

@@ -145,6 +145,47 @@ def test_the_gradient_on_the_curve_is_the_mean_of_both_sides():
 
 
 def test_many_queries_in_threads_equal_the_same_ones_alone():
-    curve, points = random_curve(4, 3, pieces=60), np.random.default_rng(9).random((3000, 2))
+    curve, points = random_curve(4, 3, pieces=20), np.random.default_rng(9).random((2500, 2))
     alone = np.concatenate([sd(curve, part) for part in np.array_split(points, 20)])
     np.testing.assert_array_equal(sd(curve, points), alone)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 35.0])
+@pytest.mark.parametrize("gap", [0.0, 1e-9, 1e-6, 1e-3])
+def test_a_cusp_and_near_cusps_whichever_way_they_are_turned(alpha, gap):
+    control = np.array([[[0, 0], [1 + gap, 1], [-gap, 1], [1, 0]]])
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s], [s, c]])
+    curve = Curve.bezier(control)
+    halves = [Curve.bezier([_split(control[0], 0.5, side)]) for side in (0, 1)]
+    expected = -np.log(sum(np.exp(-alpha * sd(half, QUERIES, alpha)) for half in halves)) / alpha
+    np.testing.assert_allclose(sd(curve, QUERIES, alpha), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(sd(curve.transformed(turn), QUERIES @ turn.T, alpha), expected, rtol=0, atol=1e-12)
+
+
+def _split(control, t, side):
+    """Control points of one part of a piece, by de Casteljau."""
+    layers = [control]
+    while len(layers[-1]) > 1:
+        layers.append((1 - t) * layers[-1][:-1] + t * layers[-1][1:])
+    return np.array([layer[0] for layer in layers] if side == 0 else [layer[-1] for layer in layers[::-1]])
+
+
+@pytest.mark.parametrize("alpha", [0.01, 1.0, 35.0, 1e3])
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_cutting_the_pieces_changes_nothing(degree, alpha):
+    """Other panels, the same integral: what a rule that stops too early cannot give."""
+    for seed in range(8):
+        whole = random_curve(seed, degree, pieces=2)
+        cut = Curve.bezier(
+            [
+                _split(_split(c, 3 / 7, a), 0.3, b)
+                for c in whole.control[:, : degree + 1]
+                for a in (0, 1)
+                for b in (0, 1)
+            ]
+        )
+        np.testing.assert_allclose(sd(cut, QUERIES, alpha), sd(whole, QUERIES, alpha), rtol=1e-14, atol=3e-14 / alpha)
+        np.testing.assert_allclose(
+            sd_gradient(cut, QUERIES, alpha), sd_gradient(whole, QUERIES, alpha), rtol=0, atol=1e-12
+        )
