@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer integrands")
     quick = parser.parse_args().quick
     torch.set_num_threads(1)
-    problem = ToyProblem.family(1_024 if quick else 16_384, seed=SEED)
+    problem = ToyProblem.family(1_024 if quick else 8_192, seed=SEED)
     measured = frontier(problem, METHODS, [8, 16, 32, 64], runs=3, seed=SEED)
     table = Table("method", "n", "MSE", "x MC", "95%", "median", "p99", "bias^2", "us", title="toy")
     for p in measured.points:

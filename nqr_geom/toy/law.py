@@ -14,6 +14,8 @@ from torch import Tensor
 
 __all__ = ["Law", "fit", "fit_pairs", "propagate", "stumpff"]
 
+_TRUST = 1e-9  # relative disagreement from which samples count as not obeying a law
+
 
 def stumpff(z: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Stumpff functions c_k(z) = sum_j (-z)^j / (k + 2j)! for k = 0..4 and z >= 0.
@@ -135,8 +137,11 @@ def fit(x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, pieces: int) -> 
 
     step = x.diff(dim=1)
     guess, guess_slope = propagate(alpha[:, :-1], step, value[:, :-1], slope[:, :-1], curvature[:, :-1])
-    size = value.abs().amax(dim=1, keepdim=True) + slope.abs().amax(dim=1, keepdim=True) * 1e-2
-    off = ((guess - value[:, 1:]).abs() + 1e-2 * (guess_slope - slope[:, 1:]).abs()) > 1e-6 * size
+    # Close samples agree with many laws, so the measure is the step itself.
+    rise, slopes = value.diff(dim=1), slope[:, :-1].abs() + slope[:, 1:].abs()
+    rounding = 1e-14 * (value[:, :-1].abs() + value[:, 1:].abs())
+    off = (guess - value[:, 1:]).abs() > _TRUST * (rise.abs() + step * slopes) + rounding
+    off = off | ((guess_slope - slope[:, 1:]).abs() > 1e3 * _TRUST * slopes + rounding / step.clamp_min(1e-300))
     off = off & (piece[:, 1:] == piece[:, :-1])
     wrong = total(torch.cat([torch.zeros_like(x[:, :1]), off.to(x.dtype)], dim=1)) > 0.5
     known = (~wrong & (count > 1.5)).gather(1, piece)

@@ -146,19 +146,18 @@ class ToySplit(Sampler):
         slope_left, slope_right = seen.slope.gather(1, left), seen.slope.gather(1, right)
         rise = seen.value.gather(1, right) - seen.value.gather(1, left)
         off = rise - 0.5 * h * (slope_left + slope_right)
-        spread = (2.0 * self.shape.jump) ** 2
-        jump = torch.where(inside, off * off, spread).clamp_max(2.0 * spread) + 0.25 * self.shape.jump**2
-        # An end that no sample marks is continued from one sample: its tangent's rise is what may be wrong.
-        tangent = ((slope_left + slope_right) * h).square().clamp_max(spread)
-        bent = torch.where(inside, off * off, tangent) / 12.0
-        broken = jump / 12.0 * breaks
-        parabola = (
-            inside & (breaks == 0) & (off.abs() <= 1e-9 * (rise.abs() + h * (slope_left.abs() + slope_right.abs())))
-        )
+        spread, least = (2.0 * self.shape.jump) ** 2, (0.5 * self.shape.jump) ** 2
+        jump = torch.where(inside, off * off, spread).clamp_max(2.0 * spread) + least
+        # An end of [0, 1] is reached by a tangent, whose rise may be wrong.
+        tangent = ((slope_left + slope_right) * h).square().clamp_max(spread) + least
+        bend = torch.where(inside, off * off, tangent)
+        smooth = breaks == 0
+        noise = 1e-9 * (rise.abs() + h * (slope_left.abs() + slope_right.abs()))
+        parabola = inside & smooth & (off.abs() <= noise)
         seen.settled.scatter_add_(1, piece, 3.0 * parabola.to(h.dtype))
         gaps.left[at], gaps.right[at] = left, right
-        gaps.piece[at] = torch.where(breaks == 0, piece, PIECES)
-        gaps.score[at] = h * h * torch.where(breaks == 0, bent, broken)
+        gaps.piece[at] = torch.where(smooth, piece, PIECES)
+        gaps.score[at] = h * h / 12.0 * torch.where(smooth, bend, jump)
         gaps.idle[at] = 1e-12 * h * h
 
 

@@ -147,13 +147,16 @@ class ToyHermite(Rule):
     def _broken(self, p: _Points, level: Tensor, row: Tensor, gap: Tensor, h: Tensor, breaks: Tensor) -> Tensor:
         """Posterior mean of the integral over gaps with hidden breaks, or without any but of unknown law, (G,)."""
         u = (torch.arange(_NODES, device=h.device) + 0.5) / _NODES
+        # A steep parabola is not believed beyond what values the integrand takes, and once more their range.
+        low, high = (bound[row, None] for bound in p.value.aminmax(dim=1))
+        low, high = 2.0 * low - high, 2.0 * high - low
 
         def side(index: Tensor, t: Tensor) -> Tensor:
             value, slope, alpha, curvature, known = (
                 tensor[row, index, None] for tensor in (p.value, p.slope, p.law.alpha, p.law.curvature, p.law.known)
             )
             sure, _ = propagate(alpha, t, value, slope, curvature)
-            return torch.where(known, sure, self._faded(level, t, value, slope))
+            return torch.where(known, sure.clamp(low, high), self._faded(level, t, value, slope))
 
         left, right = side(gap, u * h), side(gap + 1, (u - 1.0) * h)
         # One break: uniform in the gap, times how likely its jump is. `stays` is the chance to be still left of it.

@@ -95,6 +95,27 @@ def test_two_samples_within_a_period_tell_a_wave() -> None:
         assert not law.known.any()
 
 
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 1e-5])
+def test_close_samples_of_a_wave_do_not_pass_for_a_parabola(step: float) -> None:
+    x, piece = torch.tensor([[0.137, 0.137 + step]], dtype=torch.float64), torch.zeros(1, 2, dtype=torch.int64)
+    omega = 106.0
+    value, slope = 2.0 + torch.sin(omega * x), omega * torch.cos(omega * x)
+    law = fit(x, value, slope, piece, PIECES)
+    assert not law.known.any()
+    law = fit_pairs(law, x, value, slope, piece, 110.0)
+    assert law.known.all()
+    assert law.alpha[0, 0].sqrt().item() == pytest.approx(omega, rel=1e-2)
+
+
+@pytest.mark.parametrize("slope", [60.0, -200.0])
+def test_two_samples_that_no_wave_of_the_family_explains_tell_nothing(slope: float) -> None:
+    x, value = (torch.tensor([t], dtype=torch.float64) for t in ([0.30, 0.34], [0.0, 1.0]))
+    slopes, piece = torch.full_like(x, slope), torch.zeros(1, 2, dtype=torch.int64)
+    # h (f0' + f1') / (f1 - f0) is 4.8, more than any wave has, and -16, which needs omega = 140.
+    law = fit_pairs(fit(x, value, slopes, piece, PIECES), x, value, slopes, piece, 110.0)
+    assert not law.known.any()
+
+
 @pytest.mark.parametrize(("problem", "inner"), [(ToyProblem(300), 1), (ToyProblem(300, 8), 6), (parabolas(300), 0)])
 def test_exact_where_no_gap_hides_a_break(problem: ToyProblem, inner: int) -> None:
     error = estimate(observed(problem, fenced(problem.pieces, inner))) - problem.reference()
@@ -186,6 +207,19 @@ def test_sampler_closes_in_on_every_break() -> None:
     points = ToySplit().draw(problem, 40, Stream(0)).x[..., 0]
     distance = (points[:, :, None] - problem.pieces.edges[:, None, 1:-1]).abs().amin(dim=1)
     assert distance.max() < 0.01
+
+
+def test_an_end_is_looked_at_though_the_tangent_there_is_flat() -> None:
+    # The first piece is a parabola that ends just right of the first sample, where its top is.
+    rows = torch.arange(100)
+    top = Stratified().points(rows, 6, 1, Stream(0))[:, 0]
+    edges = torch.cat([0.0 * top, top + 1e-9, torch.tensor([0.4, 0.6, 0.8, 1.0]).double().expand(100, 4)], dim=1)
+    table = torch.zeros(100, PIECES, dtype=torch.float64)
+    bend = torch.zeros_like(table)
+    bend[:, 0] = -300.0
+    problem = ToyProblem(rows, pieces=Pieces(edges, table + 2.0, -top * bend, bend, torch.zeros_like(table)))
+    error = estimate(ToySplit().draw(problem, 32, Stream(0))) - problem.reference()
+    assert np.abs(error).max() < 5e-3
 
 
 def test_structured_beats_monte_carlo_four_thousand_times() -> None:
