@@ -51,7 +51,8 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from nqr_geom import datasets, problems
+    from nqr_geom import datasets as datasets
+    from nqr_geom import problems as problems
     from nqr_geom.api import (
         closest_point,
         distance,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import App, CycloptsError, Parameter
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -157,24 +158,18 @@ def _measure(problem: Any, methods: Sequence[str] | None, budgets: Sequence[int]
 
 def _show(measured: Frontier, title: str) -> None:
     """Error against time as a table, one line a method and budget."""
-    table = Table(title=title)
-    for column, justify in (
-        ("method", "left"),
-        ("n", "right"),
-        ("us / query", "right"),
-        ("mean squared error", "right"),
-        ("95% interval", "right"),
-        ("x plain MC", "right"),
-    ):
-        table.add_column(column, justify=justify)  # type: ignore[arg-type]
+    table = Table(title=title, box=box.SIMPLE_HEAD)
+    table.add_column("method")
+    for column in ("n", "us / query", "MSE", "95% interval", "x plain MC"):
+        table.add_column(column, justify="right", no_wrap=True)
     for point in measured.points:
         low, high = point.mse_interval
-        ratio = "" if point.ratio is None else f"{point.ratio:.3g}"
+        ratio = "" if point.ratio is None else f"{point.ratio:.3g}" if point.ratio < 1e9 else "> 1e9"
         table.add_row(
             point.method,
-            str(point.n) if point.n else "",
+            str(point.n or ""),
             f"{1e6 * point.seconds:.3g}",
-            f"{point.mse:.2e}",
+            f"{point.mse:.1e}",
             f"{low:.1e} .. {high:.1e}",
             ratio,
         )
