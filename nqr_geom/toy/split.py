@@ -158,7 +158,8 @@ class ToySplit(Sampler):
         gaps.left[at], gaps.right[at] = left, right
         gaps.piece[at] = torch.where(smooth, piece, PIECES)
         gaps.score[at] = h * h / 12.0 * torch.where(smooth, bend, jump)
-        gaps.idle[at] = 1e-12 * h * h
+        # Close samples may tell the law badly, so that a wide gap is worth a look once all breaks are found.
+        gaps.idle[at] = 1e-8 * h * h
 
 
 def _joined(looks: list[Observation]) -> Observation:
