@@ -54,7 +54,7 @@ SIGNED = [
     ("doubled inside: nonzero", SQUARE + INNER, "nonzero", [(0.5, 0.5), (0.125, 0.5)], [-0.25, -0.125]),
     ("doubled inside: even-odd", SQUARE + INNER, "even-odd", [(0.5, 0.5), (0.125, 0.5)], [0.25, -0.125]),
     ("open: a U closed by its level set", Curve.polyline([(0, 4), (0, 0), (1, 0), (1, 4)]), "nonzero",
-     [(0.5, 1), (0.5, 5), (0.5, -1)], [-0.5, np.hypot(0.5, 1), 1]),
+     [(0.5, 1), (0.5, 3.5), (0.5, 5), (0.5, -1)], [-0.5, -0.5, np.hypot(0.5, 1), 1]),
     ("open and reversed", Curve.polyline([(1, 4), (1, 0), (0, 0), (0, 4)]), "even-odd",
      [(0.5, 1), (0.5, -1)], [-0.5, 1]),
 ]  # fmt: skip
