@@ -103,10 +103,8 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
 
 
 def figures() -> str:
-    parts = [
-        "\n## Figures\n\nMeasured by the scripts in `benchmarks/`, on the machine that each JSON in `benchmarks/results/` "
-        "names.\n"
-    ]
+    where = "Measured by the scripts in `benchmarks/`, on the machine that each JSON in `benchmarks/results/` names."
+    parts = [f"\n## Figures\n\n{where}\n"]
     for name, title, table in SECTIONS:
         path = RESULTS / f"{name}.json"
         if path.exists():
