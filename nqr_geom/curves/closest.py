@@ -19,7 +19,8 @@ def closest_rows(box, skip, arc, start, end, coefficients, curved, points, with_
     for i in range(points.shape[0]):
         px, py = points[i, 0], points[i, 1]
         if i > 0:  # some point of the curve is this near: the last answer, seen from here
-            bound = (np.sqrt(square[i - 1]) + np.hypot(px - points[i - 1, 0], py - points[i - 1, 1])) * 1.000001
+            step = np.sqrt((px - points[i - 1, 0]) ** 2 + (py - points[i - 1, 1]) ** 2)
+            bound = (np.sqrt(square[i - 1]) + step) * 1.000001
             bound = bound * bound
         a, u, d = closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_points, bound, nodes, gaps)
         which[i], where[i], square[i] = a, u, d
@@ -32,7 +33,7 @@ def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_p
     if skip.shape[0] == 0:
         return best_arc, best_u, best
     top = 1
-    nodes[0], gaps[0] = 0, _gap(box[0], px, py)
+    nodes[0], gaps[0] = 0, _gap(box, 0, px, py)
     while top > 0:
         top -= 1
         node = nodes[top]
@@ -40,7 +41,7 @@ def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_p
             continue
         while arc[node] < 0:  # down the nearer side, the other one waits
             near, far = node + 1, skip[node + 1]
-            near_gap, far_gap = _gap(box[near], px, py), _gap(box[far], px, py)
+            near_gap, far_gap = _gap(box, near, px, py), _gap(box, far, px, py)
             if far_gap < near_gap:
                 near, far, near_gap, far_gap = far, near, far_gap, near_gap
             if far_gap < best:
@@ -60,9 +61,12 @@ def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_p
 
 
 @njit(cache=True, nogil=True)
-def _gap(b, px, py):  # type: ignore[no-untyped-def]
+def _gap(box, node, px, py):  # type: ignore[no-untyped-def]
     """Squared distance to a box."""
-    dx, dy = max(b[0] - px, 0.0, px - b[2]), max(b[1] - py, 0.0, py - b[3])
+    dx, dx_far = box[node, 0] - px, px - box[node, 2]
+    dy, dy_far = box[node, 1] - py, py - box[node, 3]
+    dx, dy = dx if dx > dx_far else dx_far, dy if dy > dy_far else dy_far
+    dx, dy = dx if dx > 0.0 else 0.0, dy if dy > 0.0 else 0.0
     return dx * dx + dy * dy
 
 
