@@ -62,6 +62,14 @@ BRINGS: dict[str, tuple[str, ...]] = {
 }
 
 
+# A trained model is also a rule; tests/properties/test_learn.py holds every one of them to laws of its own.
+RULES = [
+    entry
+    for entry in registry.entries("rule")
+    if entry.name not in {f"inet-{model.name}" for model in registry.entries("model")}
+]
+
+
 @cache
 def problem(name: str) -> Problem:
     """A test problem by name, built once."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from nqr_geom.integrator.problem import Observation, Problem
+from nqr_geom.integrator.problem import LogLink, Observation, Problem, Samples, WalkProblem
 
 
 @dataclass
@@ -79,3 +80,64 @@ def smooth(dim: int = 1) -> Known:
 def step() -> Known:
     """1 right of 1/3: integral 2/3."""
     return Known(lambda x: (x[..., 0] > 1.0 / 3.0).double(), 2.0 / 3.0, name="step")
+
+
+@dataclass
+class Logarithm(Known):
+    """-ln(integral of the integrand) / alpha, the same integral behind a link."""
+
+    alpha: float = 2.0
+
+    def finalize(self, samples: Samples) -> tuple[Samples, LogLink]:
+        return samples, LogLink(alpha=self.alpha)
+
+    def reference(self) -> np.ndarray:
+        return np.full((self.batch, 1), -np.log(self.exact) / self.alpha)
+
+
+@dataclass
+class GamblersRuin(WalkProblem):
+    """A gambler with k coins bets one a step on a coin that falls right with probability p, until 0 or `goal`.
+
+    Row r starts with r + 1 coins. The value is whether the goal was reached, the feature "coins" what is left. Within
+    `dim` steps the chance is known by the powers of the transition matrix, and in the long run in closed form.
+    """
+
+    p: float = 0.5
+    goal: int = 5
+    dim: int = 12
+    name: str = "gambler"
+    rows: Tensor = field(default_factory=lambda: torch.arange(4))
+
+    def start(self, n: int) -> Any:
+        return (self.rows + 1)[:, None].expand(self.batch, n)
+
+    def observe(self, state: Any) -> dict[str, Tensor]:
+        return {"coins": state[..., None].double()}
+
+    def step(self, state: Any, x: Tensor) -> Any:
+        playing = (state > 0) & (state < self.goal)
+        return torch.where(playing, state + torch.where(x < self.p, 1, -1), state)
+
+    def finish(self, state: Any) -> Observation:
+        won = (state == self.goal).double()
+        coins = state[:, :, None, None].double()
+        return Observation(won[:, :, None, None], {"coins": coins}, queries=won.numel())
+
+    def take(self, index: slice | Tensor) -> GamblersRuin:
+        return replace(self, rows=self.rows[index])
+
+    def reference(self) -> np.ndarray:
+        move = np.zeros((self.goal + 1, self.goal + 1))
+        move[0, 0] = move[-1, -1] = 1.0
+        for k in range(1, self.goal):
+            move[k, k + 1], move[k, k - 1] = self.p, 1.0 - self.p
+        return np.linalg.matrix_power(move, self.dim)[self.rows.numpy() + 1, -1:]
+
+    def in_the_long_run(self) -> np.ndarray:
+        """Feller 1968, XIV.2."""
+        k = self.rows.numpy()[:, None] + 1.0
+        if self.p == 0.5:
+            return k / self.goal
+        odds = (1.0 - self.p) / self.p
+        return (1.0 - odds**k) / (1.0 - odds**self.goal)

@@ -228,8 +228,9 @@ def _legendre_basis(x: Tensor, degree: int) -> Tensor:
 class Regression(Rule):
     """Regression Monte Carlo: a least-squares polynomial as control variate (Salaun et al. 2022).
 
-    The fitted polynomial's integral plus the mean residual. Where the fit is not unique (fewer or repeated points),
-    the pseudo-inverse gives the solution of least norm.
+    The fitted polynomial's integral plus the mean residual, which the fit makes zero. Where the fit is not unique
+    (fewer samples than terms, or crowded ones) the terms above the constant have least norm, so that constants stay
+    exact and one sample gives the plain mean.
 
     Parameters
     ----------
@@ -246,17 +247,17 @@ class Regression(Rule):
     def combine(self, samples: Samples) -> Combination:
         self._need_one_technique(samples)
         x, order = _canonical(samples.x)
-        weight = 1.0 / self._need_pdf(samples)[..., 0].gather(1, order)
-        basis = _legendre_basis(x, self.degree)
-        weighted = basis * weight[..., None]
-        gram = torch.stack([row_mean(weighted * column[..., None]) for column in basis.unbind(dim=-1)], dim=1)
-        # The integral of the fit is its first coefficient; the residual's mean corrects what the fit leaves.
-        moment = -row_mean(weighted)
-        moment[:, 0] += 1.0
-        solution = least_norm(gram, moment, rtol=1e-10)
-        weights = weight
-        for column, share in zip(weighted.unbind(dim=-1), solution.unbind(dim=-1), strict=True):
-            weights = weights + column * share[:, None]
+        share = 1.0 / self._need_pdf(samples)[..., 0].gather(1, order)
+        share = share / row_mean(share)[:, None]
+        basis = _legendre_basis(x, self.degree)[..., 1:]
+        means = row_mean(share[..., None] * basis)
+        columns = (basis - means[:, None]).unbind(dim=-1)
+        weighted = share[..., None] * (basis - means[:, None])
+        gram = torch.stack([row_mean(weighted * column[..., None]) for column in columns], dim=1)
+        # Take the fit's terms out of the mean: all but the constant integrate to 0.
+        weights = share
+        for column, slope in zip(weighted.unbind(dim=-1), least_norm(gram, means, 1e-10).unbind(dim=-1), strict=True):
+            weights = weights - column * slope[:, None]
         return Combination(torch.empty_like(weights).scatter(1, order, weights)[..., None, None])
 
 

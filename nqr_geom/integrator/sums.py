@@ -56,14 +56,14 @@ def cholesky_weights(kernel: Tensor, mean: Tensor) -> Tensor:
     return torch.cholesky_solve(padded[..., None], factor)[:, :size, 0]
 
 
-def least_norm(gram: Tensor, moment: Tensor, rtol: float) -> Tensor:
+def least_norm(gram: Tensor, moment: Tensor, cutoff: float) -> Tensor:
     """Least-norm solution of G c = m for symmetric G (B, M, M) >= 0 and m (B, M).
 
-    Eigenvalues below `rtol` times the largest count as zero: the pseudo-inverse.
+    Eigenvalues up to `cutoff` count as zero. It is absolute: where all of G is rounding error nothing can be solved.
     """
     size = moment.shape[1]
     values, vectors = torch.linalg.eigh(_aligned(gram, 0.0))
-    kept = values > rtol * values[:, -1:]
+    kept = values > cutoff
     vectors = vectors[:, :size]
     along = row_sum(vectors * moment[..., None])
     along = torch.where(kept, along / torch.where(kept, values, 1.0), 0.0)

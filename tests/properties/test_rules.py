@@ -18,8 +18,7 @@ from nqr_geom.registry import Entry
 from tests import fixtures
 
 SIZES = (1, 2, 5, 8, 32)
-RULES = registry.entries("rule")
-every_rule = pytest.mark.parametrize("rule", RULES, ids=lambda entry: entry.name)
+every_rule = pytest.mark.parametrize("rule", fixtures.RULES, ids=lambda entry: entry.name)
 
 
 def estimate(entry: Entry, samples: Samples) -> np.ndarray:
