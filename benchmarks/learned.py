@@ -164,7 +164,15 @@ def show(name: str, rows: list[dict[str, Any]]) -> None:
     for row in rows:
         gain = [f"{row['gain']:.3g}", _span(row["gain_interval"]), f"{row['paper']}"] if "gain" in row else [""] * 3
         cells = [f"{row[key]:.2e}" for key in ("mse", "median", "p99")]
-        table.add_row(row["design"], row["rule"], *cells, f"{row['ratio']:.3g}", _span(row["ratio_interval"]), *gain)
+        table.add_row(
+            row["problem"],
+            row["design"],
+            row["rule"],
+            *cells,
+            f"{row['ratio']:.3g}",
+            _span(row["ratio_interval"]),
+            *gain,
+        )
     Console(width=150).print(table)
 
 
@@ -177,6 +185,21 @@ def rules_for(name: str) -> dict[str, Rule]:
     known = {entry.name for entry in registry.entries("rule")}
     names = [*CLASSICAL, *(rule for rule in LEARNED[name] if rule in known)]
     return {label: registry.make("rule", label) for label in names}
+
+
+def write_cards(rows: list[dict[str, Any]]) -> None:
+    """Put what was measured on the networks into their cards."""
+    from nqr_geom.integrator.learn.zoo import Card
+    from nqr_geom.recipes import RECIPES, folder
+
+    for row in rows:
+        name = row["rule"].removeprefix("inet-")
+        if name in RECIPES and row["problem"] == RECIPES[name].problem:
+            path = folder(row["problem"]) / f"{name}.json"
+            card = Card.from_json(path.read_text())
+            kept = ("mse", "median", "p99", "ratio", "ratio_interval", "gain", "gain_interval", "fallback")
+            card.table[row["design"]] = {key: row[key] for key in kept}
+            path.write_text(card.to_json())
 
 
 def main() -> None:
@@ -197,6 +220,7 @@ def main() -> None:
         show(name, part)
         rows += part
     if not arguments.quick:
+        write_cards(rows)
         write("learned", rows, n=N, seed=SEED, stride=STRIDE, nearest=NEAREST)
 
 

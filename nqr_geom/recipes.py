@@ -24,6 +24,7 @@ _CURVE = TokenConfig(
     unit=1.0,  # a winding number is a number of turns, whatever the row
 )
 
+_CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
 _SIZES = ((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05))
 
 RECIPES: dict[str, Recipe] = {
@@ -33,9 +34,10 @@ RECIPES: dict[str, Recipe] = {
             name="toy-uniform",
             problem="toy",
             family=toy_batch,
-            base="mc",
+            base="uniform",
             consistent="trapezoid",
             config=INetConfig(_TOY, unit_mass=True),
+            sees=("derivative", "piece"),
             extra=TOY_TOKENS,
             sizes=_SIZES,
         ),
@@ -46,6 +48,7 @@ RECIPES: dict[str, Recipe] = {
             base="toy-hermite",
             consistent="toy-hermite",
             config=INetConfig(_TOY, unit_mass=True, offset=True),
+            sees=("derivative", "piece"),
             extra=TOY_TOKENS,
             sizes=_SIZES,
         ),
@@ -57,6 +60,7 @@ RECIPES: dict[str, Recipe] = {
             consistent="gwn-hermite",
             # The base is exact but for pieces that it has not seen and queries too close to tell.
             config=INetConfig(_CURVE, offset=True, doubtful_only=True),
+            sees=_CURVE_SEES,
             extra=CURVE_TOKENS,
             sizes=((32, 0.7), (16, 0.2), (8, 0.1)),
             designs=("random", "random", "random", "stratified"),
@@ -66,9 +70,10 @@ RECIPES: dict[str, Recipe] = {
             name="gwn-uniform",
             problem="gwn",
             family=gwn_batch,
-            base="mc",
+            base="uniform",
             consistent="trapezoid",
             config=INetConfig(_CURVE),
+            sees=_CURVE_SEES,
             extra=CURVE_TOKENS,
             sizes=_SIZES,
         ),

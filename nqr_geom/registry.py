@@ -63,6 +63,11 @@ _RULES = "nqr_geom.integrator.rules:"
 _CURVES = "nqr_geom.curves."
 _TOY = "nqr_geom.toy."
 
+_RECIPES = "nqr_geom.recipes:"
+
+# Trained models: recipe, problem, summary. Each is also the rule "inet-" + its name.
+_MODELS = (("gwn-uniform", "gwn", "network that corrects plain Monte Carlo weights on curves"),)
+
 _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (
         Entry("random", _SAMPLERS + "Random", "independent uniform points"),
@@ -185,13 +190,20 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             dims="1",
             needs="sd",
         ),
+        *(
+            Entry(f"inet-{name}", _RECIPES + "model", summary, {"name": name}, linear=False, dims="1", needs=problem)
+            for name, problem, summary in _MODELS
+        ),
     ),
     "problem": (
         Entry("toy", _TOY + "problem:ToyProblem", "piecewise smooth functions with hidden breaks", dims="1"),
         Entry("gwn", _CURVES + "problems:GwnProblem", "generalised winding number of a curve", dims="1"),
         Entry("sd", _CURVES + "problems:SdProblem", "smoothed distance to a curve", dims="1"),
     ),
-    "model": (),
+    "model": tuple(
+        Entry(name, _RECIPES + "model", summary, options={"name": name}, linear=False, dims="1", needs=problem)
+        for name, problem, summary in _MODELS
+    ),
 }
 
 # A method is "sampler+rule"; these are the short names. "structured" and the learned ones depend on the problem.

@@ -64,7 +64,9 @@ def test_order_of_samples_changes_nothing(name: str) -> None:
     a, b = rule.combine(samples), rule.combine(mixed)
     weights = a.weights.expand_as(samples.value)[..., 0, 0]
     # The network sees sorted samples and answers alike bit for bit; only float64 row means round differently.
-    np.testing.assert_allclose(weights.gather(1, order), b.weights.expand_as(samples.value)[..., 0, 0], rtol=1e-12)
+    np.testing.assert_allclose(
+        weights.gather(1, order), b.weights.expand_as(samples.value)[..., 0, 0], rtol=1e-12, atol=1e-12
+    )
     np.testing.assert_allclose(a.estimate(samples), b.estimate(mixed), rtol=1e-12, atol=1e-12)
 
 

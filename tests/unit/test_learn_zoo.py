@@ -150,7 +150,8 @@ def test_shares_minimise_the_error_of_the_blend() -> None:
     net = network()
     (share,) = fit_shares(SMALL, net, (32,))
     assert 0.0 < share < 1.0
-    model = Model(card(sizes=(8, 32), shares=(share, share)), load_free(net), registry.make("rule", "trapezoid"))
+    trapezoid = registry.make("rule", "trapezoid")
+    model = Model(card(sizes=(8, 32), shares=(share, share)), load_free(net), trapezoid, SMALL.sees)
     problem = SMALL.family(torch.arange(4000), 0, "test").problem
     samples = draw_samples(problem, SMALL.designs, 32, Stream(0))
     truth = torch.from_numpy(problem.reference())

@@ -1,7 +1,7 @@
 """The integration network: a bidirectional transformer that corrects a base rule (Section 4, Fig. 7).
 
 F = a + (1/N) sum (W_i + dW_i) f_i + (1/N) sum o_i, where W and a are the base rule's. The heads start at zero, so an
-untrained network is its base rule bit for bit; with the base "mc" and no offset it is the paper's Eq. 1, with the
+untrained network is its base rule bit for bit; with the base "uniform" and no offset it is the paper's Eq. 1, with the
 offset Eq. 52. The network works in float32, the combination in float64.
 """
 
@@ -18,7 +18,7 @@ from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
 
-__all__ = ["INet", "INetConfig", "LearnedRule", "correct"]
+__all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct"]
 
 TILE_TOKENS = 256 * 32  # float32 products change with the batch size, so a network always sees this many tokens
 _LOG_RANGE = 30.0
@@ -152,6 +152,16 @@ def correct(raw: Tensor, base: Combination, samples: Samples, config: INetConfig
     elif shift is not None:
         offset = shift
     return replace(base, weights=weights, offset=offset)
+
+
+class UniformWeights(Rule):
+    """W = 1 whatever placed the points: the paper's base, which only a network makes right for adaptive samples."""
+
+    name = "uniform"
+
+    def combine(self, samples: Samples) -> Combination:
+        self._need_one_technique(samples)
+        return Combination(samples.value.new_ones(1, 1, 1, 1))
 
 
 @dataclass(frozen=True)

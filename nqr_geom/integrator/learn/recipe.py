@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from nqr_geom import registry
-from nqr_geom.integrator.learn.inet import INetConfig
+from nqr_geom.integrator.learn.inet import INetConfig, UniformWeights
 from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Link, LogLink, Problem, Samples
 from nqr_geom.integrator.rules import Rule
@@ -47,11 +47,13 @@ class Recipe:
     family : callable
         (rows (B,) int64, seed, split) to a Batch; a pure function of its arguments.
     base : str
-        Registry name of the rule that the network corrects.
+        Registry name of the rule that the network corrects, or "uniform" for W = 1.
     consistent : str
         Registry name of the rule that the estimate tends to as N grows.
     config : INetConfig
         Network.
+    sees : tuple of str
+        Features that samples of the problem bring; samples with others are of another problem.
     extra : Extra, optional
         The application's own token quantities.
     sizes : tuple of (int, float)
@@ -73,6 +75,7 @@ class Recipe:
     base: str
     consistent: str
     config: INetConfig
+    sees: tuple[str, ...] = ()
     extra: Extra | None = None
     sizes: tuple[tuple[int, float], ...] = ((32, 1.0),)
     designs: tuple[str, ...] = ("random", "stratified")
@@ -83,7 +86,7 @@ class Recipe:
 
     def base_rule(self) -> Rule:
         """The rule that the network corrects."""
-        rule: Rule = registry.make("rule", self.base)
+        rule: Rule = UniformWeights() if self.base == "uniform" else registry.make("rule", self.base)
         return rule
 
     def size(self, stream: Stream, iteration: int) -> int:

@@ -27,7 +27,7 @@ from nqr_geom.integrator.rules import Combination, Rule
 __all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save"]
 
 BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
-_MARGIN = 0.02  # of the trained range, beyond either end
+_MARGIN = 0.1  # of the trained range, beyond either end
 
 
 @dataclass(frozen=True)
@@ -160,9 +160,8 @@ def load(folder: str | Path, recipe: Recipe) -> Model:
         wrong = sorted(shapes.items() ^ expected.items())
         raise ValueError(f"card: expected weights of the shapes of its architecture, these differ: {wrong}")
     net.load_state_dict(tensors)
-    return Model(
-        card, LearnedRule(net.eval(), recipe.base_rule(), recipe.extra), registry.make("rule", card.consistent)
-    )
+    learned = LearnedRule(net.eval(), recipe.base_rule(), recipe.extra)
+    return Model(card, learned, registry.make("rule", card.consistent), recipe.sees)
 
 
 def checked(samples: Samples, extra: Extra | None) -> Tensor:
@@ -184,11 +183,14 @@ class Model(Rule):
         The network on its base rule.
     consistent : Rule
         What answers beyond the limits.
+    sees : tuple of str
+        Features that samples of its problem bring.
     """
 
     card: Card
     learned: LearnedRule
     consistent: Rule
+    sees: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -206,6 +208,9 @@ class Model(Rule):
         return inside
 
     def combine(self, samples: Samples) -> Combination:
+        if samples.dim != self.card.config.tokens.dim or set(samples.seen.features) != set(self.sees):
+            have = ", ".join(samples.seen.features) or "none"
+            raise ValueError(f"rule: {self.name!r} needs samples of {self.card.problem!r}, these have features {have}")
         safe = self.consistent.combine(samples)
         share = self.card.share(samples.n)
         inside = self.inside(samples)
