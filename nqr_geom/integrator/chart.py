@@ -45,7 +45,7 @@ def draw(frontier: Frontier, path: Path) -> Path:
     bottom = _limits(left, [point for points in curves.values() for point in points])
     for k, peer in enumerate(peers):
         inside = peer.mse >= bottom
-        label = peer.method if inside else f"{peer.method} (error {peer.mse:.0e})"
+        label = peer.method if inside else f"{peer.method} (error {peer.mse:.0g})"
         right.plot(
             [1e6 * peer.seconds],
             [max(peer.mse, bottom)],
