@@ -228,6 +228,40 @@ def demo(
     out_console.print(f"wrote {chart}", highlight=False)
 
 
+@app.command
+def train(
+    name: Annotated[str, Parameter(help="A recipe: toy-uniform, toy-structured, gwn-uniform or gwn-structured.")],
+    *,
+    out: Annotated[Path, Parameter(help="Folder of the run; a run that is there is continued.")],
+    iterations: Annotated[int, Parameter(help="Of the whole run, those already done included.")],
+    decay: Annotated[int, Parameter(help="Last iterations, in which the learning rate falls to 0.")] = 0,
+    batch: Annotated[int, Parameter(help="Integrals an iteration.")] = 256,
+    rate: Annotated[float, Parameter(help="Highest learning rate.")] = 2e-3,
+    seed: Annotated[int, Parameter(help="Of weights and data.")] = 0,
+    start_from: Annotated[
+        Path | None, Parameter(help="Run of another recipe whose trunk a new run takes over.")
+    ] = None,
+    accelerator: Annotated[str, Parameter(help="cpu, gpu, or what else lightning-fabric knows.")] = "cpu",
+    devices: Annotated[int, Parameter(help="Processes on this machine.")] = 1,
+    num_nodes: Annotated[int, Parameter(help="Machines.")] = 1,
+    publish: Annotated[Path | None, Parameter(help="Folder for the weights and their card, when done.")] = None,
+) -> None:
+    """Train the network of a recipe, or go on with a run that was interrupted."""
+    check.require("torch", "learn", "training runs")
+    from nqr_geom.integrator.learn.publish import publish as make_model
+    from nqr_geom.integrator.learn.train import TrainConfig
+    from nqr_geom.integrator.learn.train import train as run
+    from nqr_geom.recipes import RECIPES
+
+    recipe = RECIPES[check.choice("name", name, sorted(RECIPES))]
+    config = TrainConfig(iterations, batch=batch, rate=rate, decay=decay, seed=seed)
+    run(recipe, out, config, start_from=start_from, accelerator=accelerator, devices=devices, num_nodes=num_nodes)
+    out_console.print(f"wrote {out}", highlight=False)
+    if publish is not None:
+        card = make_model(recipe, out, publish, command=f"nqr-geom train {name} --iterations {iterations}")
+        out_console.print(f"wrote {publish / card.name}.safetensors", highlight=False)
+
+
 @app.command(name="list")
 def list_(kind: Annotated[str, Parameter(help="sampler, rule, problem or model.")] = "rule") -> None:
     """List what there is: samplers, rules, problems or models."""

@@ -12,6 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from nqr_geom.cli import main
 from nqr_geom.curves.families import control_points
 from nqr_geom.curves.training import NEAREST, gwn_batch, near_distance, quadratic_winding
 from nqr_geom.integrator.learn.inet import INet, INetConfig
@@ -293,3 +294,12 @@ def test_checkpoints_say_what_they_are(tmp_path: Path) -> None:
     assert json.loads(state["train"])["iterations"] == 4
     assert json.loads(state["identity"])["recipe"] == "lines"
     assert not list(tmp_path.glob("*.new*"))
+
+
+def test_the_command_line_trains_and_publishes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "run")
+    words = ["train", "toy-uniform", "--out", out, "--iterations", "1", "--batch", "8"]
+    assert main(words) == 0
+    assert json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])["batch"] == 8
+    assert main(["train", "nothing", "--out", out, "--iterations", "1"]) == 2
+    assert "name: expected one of gwn-structured, gwn-uniform" in capsys.readouterr().err
