@@ -20,7 +20,11 @@ from torch import Tensor
 
 from nqr_geom import check
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
-from nqr_geom.integrator.problem import Feature, Link, LogLink, Observation, Problem, Samples, Schema
+from nqr_geom.curves.structured import CurveRefine, GwnHermite
+from nqr_geom.integrator.problem import Feature, Link, LogLink, Observation, Problem, Samples, Schema, Whole
+from nqr_geom.integrator.rules import MonteCarlo
+from nqr_geom.integrator.samplers import Random, Stratified
+from nqr_geom.streams import Stream
 
 __all__ = ["CurveProblem", "GwnProblem", "PackedShapes", "SdProblem", "Shapes"]
 
@@ -291,6 +295,33 @@ class GwnProblem(CurveProblem):
         from nqr_geom.curves.winding import gwn
 
         return self._exact(gwn)
+
+    def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
+        """Plain Monte Carlo and the structured method, for polynomial pieces on a CPU."""
+        shapes = self.shapes
+        if not isinstance(shapes, PackedShapes) or self.points.device.type != "cpu":
+            return None
+        plain = type(rule) is MonteCarlo and type(sampler) in (Random, Stratified)
+        refine = sampler if type(rule) is GwnHermite and isinstance(sampler, CurveRefine) else None
+        if not plain and (refine is None or n < 2 * int(shapes.pieces.max())):
+            return None
+
+        def whole(stream: Stream) -> Whole:
+            from nqr_geom.curves import compiled
+
+            c, k, shape, points, rows = (
+                t.numpy() for t in (shapes.coefficients, shapes.pieces, self.shape, self.points, self.rows)
+            )
+            queries = self.batch * n * shapes.queries_per_sample
+            nowhere = torch.zeros(self.batch, dtype=torch.bool)
+            if refine is None:
+                mean, m2 = compiled.sampled(c, k, shape, points, rows, stream.key, n, type(sampler) is Stratified)
+                spread = torch.from_numpy(m2)[:, None] if type(sampler) is Random and n > 1 else None
+                return Whole(torch.from_numpy(mean)[:, None], nowhere, queries, spread)
+            value, doubtful = compiled.refined(c, k, shape, points, rows, stream.key, n, refine.spread, refine.end)
+            return Whole(torch.from_numpy(value)[:, None], torch.from_numpy(doubtful), queries)
+
+        return whole
 
     def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
         """The exact answer, and libigl's on polygons within 1e-3 of the curves' size where it is installed."""

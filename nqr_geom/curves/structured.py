@@ -75,6 +75,7 @@ class CurveRefine(Sampler):
     spread: float = 0.2
 
     name = "curve-refine"
+    end = _END
 
     def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
         pieces = getattr(getattr(problem, "shapes", None), "pieces", None)
@@ -96,19 +97,19 @@ class CurveRefine(Sampler):
         device = problem.rows.device
         start = torch.arange(k, device=device).double()
         ends = torch.stack([start, start + 1.0 - _END], dim=1).reshape(1, 2 * k, 1) / k
-        x = ends.expand(problem.batch, 2 * k, 1)
-        seen = [problem.evaluate(x)]
-        gaps = _Gaps.between_ends(x, seen[0], n)
+        x = [ends.expand(problem.batch, 2 * k, 1)]
+        seen = [problem.evaluate(x[0])]
+        gaps = _Gaps.between_ends(x[0], seen[0], n)
         at = torch.arange(problem.batch, device=device)
         for i in range(2 * k, n):
             chosen = gaps.priority().argmax(dim=1)
             jitter = stream.uniform(problem.rows, torch.tensor(i, device=device)) - 0.5
             cut = 0.5 + self.spread * jitter
             s = gaps.s[at, chosen, 0] * (1.0 - cut) + gaps.s[at, chosen, 1] * cut
-            seen.append(problem.evaluate(s[:, None, None]))
-            x = torch.cat([x, s[:, None, None]], dim=1)
+            x.append(s[:, None, None])
+            seen.append(problem.evaluate(x[-1]))
             gaps.split(chosen, s, seen[-1])
-        return Samples(x, Observation.join(seen), None, self.name)
+        return Samples(torch.cat(x, dim=1), Observation.join(seen), None, self.name)
 
 
 def _ends_of(seen: Observation) -> tuple[Tensor, Tensor]:

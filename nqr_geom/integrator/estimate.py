@@ -170,6 +170,13 @@ def _tile(
     from nqr_geom.integrator.sums import row_sum
 
     start = time.perf_counter()
+    whole = problem.compiled(sampler, rule, n)
+    if whole is not None:
+        result = whole(stream)
+        stages["compiled"] = stages.get("compiled", 0.0) + time.perf_counter() - start
+        counts = {"samples": problem.batch * n, "queries": result.queries}
+        inner, fallback = result.inner, result.fallback
+        return {"value": inner, "inner": inner, "m2": result.m2, "fallback": fallback, "counts": counts}
     samples = sampler.draw(problem, n, stream)
     drawn = time.perf_counter()
     samples, link = problem.finalize(samples)

@@ -15,7 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = ["Feature", "Link", "LogLink", "Observation", "Problem", "Samples", "Schema", "WalkProblem"]
+from nqr_geom.streams import Stream
+
+__all__ = ["Feature", "Link", "LogLink", "Observation", "Problem", "Samples", "Schema", "WalkProblem", "Whole"]
 
 
 @dataclass(frozen=True)
@@ -225,6 +227,28 @@ class LogLink(Link):
         return inner < self.floor
 
 
+@dataclass(frozen=True)
+class Whole:
+    """What a compiled pass over sampler and rule gives for a batch.
+
+    Parameters
+    ----------
+    inner : Tensor, (B, C)
+        The estimates F.
+    fallback : Tensor, (B,) bool
+        Integrals where the rule gave way or is in doubt.
+    queries : int
+        Evaluations of the integrand.
+    m2 : Tensor, (B, C), or None
+        Sum of squared deviations of n independent terms, where they are independent.
+    """
+
+    inner: Tensor
+    fallback: Tensor
+    queries: int
+    m2: Tensor | None = None
+
+
 class Problem(ABC):
     """A batch of B integrals over [0,1]^D.
 
@@ -276,6 +300,13 @@ class Problem(ABC):
     def finalize(self, samples: Samples) -> tuple[Samples, Link]:
         """Last look at all samples before a rule: may rescale values, and says the link."""
         return samples, Link()
+
+    def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
+        """One compiled pass that places samples and combines them, where this problem has it for the pair.
+
+        It must draw the same points and give the same answers to rounding: `run` uses it in place of the pair.
+        """
+        return None
 
     def reference(self) -> NDArray[np.float64] | None:
         """The true answers G(F), (B, C), where they are known."""
