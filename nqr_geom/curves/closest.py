@@ -12,7 +12,7 @@ _HALVINGS = 40
 
 
 @njit(cache=True, nogil=True)
-def closest_rows(box, skip, arc, start, end, coefficients, curved, points, with_points, which, where, square):  # type: ignore[no-untyped-def]
+def closest_rows(box, skip, arc, start, end, coefficients, curved, points, with_points, which, where, square):
     """Closest arc, its parameter u and the squared distance for every query; `with_points`: arcs of length zero too."""
     nodes, gaps = np.empty(STACK, np.int64), np.empty(STACK)
     bound = np.inf
@@ -27,7 +27,7 @@ def closest_rows(box, skip, arc, start, end, coefficients, curved, points, with_
 
 
 @njit(cache=True, nogil=True)
-def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_points, bound, nodes, gaps):  # type: ignore[no-untyped-def]
+def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_points, bound, nodes, gaps):
     """Branch and bound, nearer child first: (arc, u, squared distance), or arc -1 if nothing is within `bound`."""
     best, best_arc, best_u = bound, -1, 0.0
     if skip.shape[0] == 0:
@@ -61,7 +61,7 @@ def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_p
 
 
 @njit(cache=True, nogil=True)
-def _gap(box, node, px, py):  # type: ignore[no-untyped-def]
+def _gap(box, node, px, py):
     """Squared distance to a box."""
     dx, dx_far = box[node, 0] - px, px - box[node, 2]
     dy, dy_far = box[node, 1] - py, py - box[node, 3]
@@ -71,7 +71,7 @@ def _gap(box, node, px, py):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _on_segment(ax, ay, bx, by, px, py):  # type: ignore[no-untyped-def]
+def _on_segment(ax, ay, bx, by, px, py):
     """Nearest parameter on a segment; between the ends the squared distance comes from the cross product."""
     ex, ey, wx, wy = bx - ax, by - ay, px - ax, py - ay
     along, length = wx * ex + wy * ey, ex * ex + ey * ey
@@ -84,7 +84,7 @@ def _on_segment(ax, ay, bx, by, px, py):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _on_curve(start, end, c, px, py, bound):  # type: ignore[no-untyped-def]
+def _on_curve(start, end, c, px, py, bound):
     """Nearest parameter on a curved arc.
 
     At an interior minimum g(u) = (x(u) - p) . x'(u), of degree five, rises through zero. Its Bernstein coefficients on
@@ -158,7 +158,7 @@ def _on_curve(start, end, c, px, py, bound):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _rising_root(g0, g1, g2, g3, g4, g5, low, high):  # type: ignore[no-untyped-def]
+def _rising_root(g0, g1, g2, g3, g4, g5, low, high):
     """The root of a quintic that is negative at `low` and positive at `high`: Newton, halving where it leaves."""
     u = 0.5 * (low + high)
     for _ in range(80):

@@ -35,7 +35,7 @@ _FEW_NODES, _FEW_WEIGHTS = 0.5 * (_nodes + 1.0), 0.5 * _weights
 
 
 @njit(cache=True, nogil=True)
-def exponential_rows(  # type: ignore[no-untyped-def]
+def exponential_rows(
     box, skip, arc, start, end, coefficients, points, closest, where, alpha, length, with_gradient, log, gradient
 ):
     """Logarithm of the integral for every query, given its closest arc and u; its mean unit vector p - x, too."""
@@ -85,7 +85,7 @@ def exponential_rows(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _arc_integral(x0, y0, x1, y1, x2, y2, x3, y3, s0, s1, query, with_gradient, total):  # type: ignore[no-untyped-def]
+def _arc_integral(x0, y0, x1, y1, x2, y2, x3, y3, s0, s1, query, with_gradient, total):
     """Add the integral over y(s) = (x0, y0) + s (x1, y1) + s^2 (x2, y2) + s^3 (x3, y3), s in [s0, s1]."""
     qx, qy, nearest, alpha, floor = query[0], query[1], query[2], query[3], query[4]
     square = nearest * nearest
@@ -147,7 +147,7 @@ def _arc_integral(x0, y0, x1, y1, x2, y2, x3, y3, s0, s1, query, with_gradient, 
 
 
 @njit(cache=True, nogil=True)
-def _range_of_excess(k0x, k0y, k1x, k1y, k2x, k2y, k3x, k3y, qx, qy):  # type: ignore[no-untyped-def]
+def _range_of_excess(k0x, k0y, k1x, k1y, k2x, k2y, k3x, k3y, qx, qy):
     """Least and largest Bernstein coefficient of y . (y + 2 q), degree six."""
     mx, my = k0x + qx, k0y + qy
     e0 = k0x * (k0x + 2.0 * qx) + k0y * (k0y + 2.0 * qy)
@@ -171,7 +171,7 @@ def _range_of_excess(k0x, k0y, k1x, k1y, k2x, k2y, k3x, k3y, qx, qy):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def _range_of_speed(k1x, k1y, k2x, k2y, k3x, k3y):  # type: ignore[no-untyped-def]
+def _range_of_speed(k1x, k1y, k2x, k2y, k3x, k3y):
     """Least (clipped at zero) and largest Bernstein coefficient of |y'|^2, degree four."""
     v0 = k1x * k1x + k1y * k1y
     v1 = 4.0 * (k1x * k2x + k1y * k2y)
