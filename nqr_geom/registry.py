@@ -66,7 +66,10 @@ _TOY = "nqr_geom.toy."
 _RECIPES = "nqr_geom.recipes:"
 
 # Trained models: recipe, problem, summary. Each is also the rule "inet-" + its name.
-_MODELS = (("gwn-uniform", "gwn", "network that corrects plain Monte Carlo weights on curves"),)
+_MODELS = (
+    ("toy-uniform", "toy", "network that corrects plain weights on piecewise smooth functions"),
+    ("gwn-uniform", "gwn", "network that corrects plain weights on curves"),
+)
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (

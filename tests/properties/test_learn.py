@@ -35,7 +35,7 @@ def squared_errors(rule: Rule, batch: Batch, samples: Samples) -> Tensor:
 
 
 def test_there_are_models() -> None:
-    assert "gwn-uniform" in MODELS
+    assert {"toy-uniform", "gwn-uniform"} <= set(MODELS)
     assert {f"inet-{name}" for name in MODELS} <= {entry.name for entry in registry.entries("rule")}
 
 
@@ -76,7 +76,7 @@ def test_the_table_of_the_card_is_what_comes_out(name: str) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_the_blend_is_no_worse_than_either_part(name: str, n: int) -> None:
     model: Model = registry.make("model", name)
-    batch, samples = drawn(name, n, max(6, 2**14 // n))
+    batch, samples = drawn(name, n, max(2, (2**16 if n <= 128 else 2**13) // n))
     inside = model.inside(samples)
     blend = squared_errors(model, batch, samples)[inside]
     for part in (model.learned, model.consistent):
