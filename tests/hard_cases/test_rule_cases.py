@@ -78,6 +78,8 @@ CASES = [
     # Fewer samples than terms, or repeated ones: the pseudo-inverse, exact on constants and on the line they span.
     ("2 samples, 6 terms", "regression-5", samples([0.2, 0.7], [3.0, 3.0]), 3.0, 1e-9),
     ("repeated, 2 terms", "regression-1", samples([0.2, 0.2, 0.6], 1.0 + np.array([0.2, 0.2, 0.6])), 1.5, 1e-12),
+    ("crowded within 1e-9, 2 terms", "regression-1", samples(0.3 + 1e-9 * np.arange(4), [1, 2, 3, 4]), 2.5, 1e-6),
+    ("crowded within rounding, 6 terms", "regression-5", samples(0.3 + 1e-16 * np.arange(3), [1, 2, 6]), 3.0, 1e-6),
     ("6 samples, 6 terms", "regression-5", samples(np.arange(6) / 5.0, (np.arange(6) / 5.0) ** 5), 1.0 / 6.0, 1e-9),
     # Strata of very different sizes and counts, and one that got nothing.
     (

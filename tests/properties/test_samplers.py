@@ -165,6 +165,14 @@ def test_pmj_is_progressive():
                 assert cells_hit_once(x[:, : 2**k, pair], (2**a, 2 ** (k - a)))
 
 
+def test_pmj_shuffles_its_pairs_against_each_other():
+    """Unshuffled, the halves of axes 0 and 2 follow the same bit of the index: two of four quadrants stay empty."""
+    x = positions("pmj", 16, 4, rows=100)[..., [0, 2]]
+    quadrants = (np.floor(2 * x) @ [2, 1]).astype(int)
+    occupied = np.array([len(set(row)) for row in quadrants.tolist()])
+    assert (occupied == 4).mean() > 0.9
+
+
 def test_scrambled_sobol_is_scipys_sequence_scrambled():
     """Nested scrambling keeps, digit by digit, which points share a box; scipy's own net is the witness."""
     ours = positions("sobol", 64, 5, rows=2)

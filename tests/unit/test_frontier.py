@@ -168,6 +168,10 @@ def test_json_comes_back_and_files_are_whole(measured, tmp_path):
     assert fields["seed"] == 3
     with pytest.raises(FileNotFoundError):
         measured.to_json(tmp_path / "missing" / "frontier.json")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="folder"):
+        measured.to_json(tmp_path / "folder")
+    assert {entry.name for entry in tmp_path.iterdir()} == {"folder", "frontier.json"}  # nothing half-written is left
     assert len(measured.table) == len(measured.points)
     assert measured.table[0]["mse"] == measured.points[0].mse
 
