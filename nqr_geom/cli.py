@@ -138,6 +138,49 @@ def distance(
     _field(curve, lambda points: answer(curve, points), out, resolution, "distance", signed=signed)
 
 
+def _values(name: str, bounds: tuple[float, float, float, float]) -> Any:
+    """Boundary values a user names: a file with one a vertex, or a function that is simple in the outline's box."""
+    if name.lower().endswith(".npy"):
+        if not Path(name).is_file():
+            raise ValueError(f"values: expected an existing file, got {name!r}")
+        return np.load(name, allow_pickle=False)
+    middle = 0.5 * np.array([bounds[0] + bounds[2], bounds[1] + bounds[3]])
+    half = 0.5 * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    functions = {
+        "x": lambda x, y: x,
+        "y": lambda x, y: y,
+        "saddle": lambda x, y: x * y,
+        "waves": lambda x, y: np.cos(3.0 * np.arctan2(y, x)),
+    }
+    function = functions[check.choice("values", name, functions)]
+    return lambda points: function(*((points - middle) / half).T)
+
+
+@app.command
+def p_laplace(
+    source: Source,
+    *,
+    p: Annotated[float, Parameter(help="The exponent, greater than 1.")] = 3.0,
+    values: Annotated[
+        str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
+    ] = "waves",
+    tol: Annotated[float | None, Parameter(help="Refine until the estimated error is at most this.")] = None,
+    text: Text = False,
+    resolution: Resolution = 256,
+    out: Out = Path("p-laplace.png"),
+) -> None:
+    """Draw the p-harmonic function inside a closed outline."""
+    from nqr_geom.p_harmonic import p_harmonic
+
+    check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
+    curve = _read(source, text)
+    # Vertices of an array keep their order, so that values can be given for each.
+    polygon = np.load(source, allow_pickle=False) if source.lower().endswith(".npy") and not text else curve
+    solution = p_harmonic(polygon, _values(values, curve.bounds), p, tol=tol)
+    name = f"p-harmonic, p = {p:g}"
+    _field(curve, lambda points: solution(points, outside="nan"), out, resolution, name, signed=False)
+
+
 def _on_grid(problem: str, curve: Curve, resolution: int) -> tuple[Any, list[int]]:
     """A problem on a grid around a curve, and budgets from two samples a piece on."""
     from nqr_geom.pictures import Window
@@ -279,7 +322,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         app(arguments, exit_on_error=False, print_error=True)
     except CycloptsError:
         return 2
-    except (ValueError, TypeError, ImportError, OSError) as error:
+    except (ValueError, TypeError, ImportError, OSError, RuntimeError) as error:
         error_console.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
         return 2
     return 0

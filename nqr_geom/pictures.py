@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nqr_geom import check
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
 
-__all__ = ["Window", "draw_field", "save_field"]
+__all__ = ["Window", "draw_field", "draw_row", "save_field"]
 
 Floats = NDArray[np.float64]
 
@@ -86,14 +86,14 @@ def _image(window: Window, values: Floats, name: str, cells: bool = False) -> An
 
 
 @contextmanager
-def _plotter(pixels: tuple[int, int]) -> Iterator[Any]:
+def _plotter(pixels: tuple[int, int], columns: int = 1) -> Iterator[Any]:
     """An off-screen plotter; VTK's complaint that there is no display, which it does not need, is not shown."""
     pv = check.require("pyvista", "plot", "pictures")
     from vtkmodules.vtkCommonCore import vtkLogger
 
     before = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    plotter = pv.Plotter(off_screen=True, window_size=pixels)
+    plotter = pv.Plotter(off_screen=True, window_size=pixels, shape=(1, columns), border=False)
     try:
         yield plotter
     finally:
@@ -177,6 +177,58 @@ def draw_field(
         outline = _outline(curve, 1e-4 * extent).translate((0.0, 0.0, 2e-4 * extent))
         plotter.add_mesh(outline, color="black", line_width=3, lighting=False)
         _look_down(plotter, window, _BAR / pixels[1])
+        plotter.screenshot(aside)
+    aside.replace(target)
+    return target
+
+
+def draw_row(
+    path: str | Path, curve: Curve, window: Window, fields: Mapping[str, Floats], *, contours: int = 0
+) -> Path:
+    """Draw several fields in the same window side by side, with one range of colours, and write a PNG.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where to write.
+    curve : Curve
+        Drawn as a line over each field.
+    window : Window
+        The grid.
+    fields : mapping of str to (ny * nx,) ndarray
+        Title and values of each field; NaN stays blank.
+    contours : int
+        How many level lines to draw.
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    wide, high = np.ptp(window.x), np.ptp(window.y)
+    extent = max(wide, high)
+    finite = np.concatenate([values[np.isfinite(values)] for values in fields.values()])
+    low, top = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    aside = target.with_name(f".{target.stem}.part.png")
+    pixels = (int(450 * wide / extent) * len(fields), int(450 * high / extent) + _BAR)
+    outline = _outline(curve, 1e-4 * extent).translate((0.0, 0.0, 2e-4 * extent))
+    with _plotter(pixels, len(fields)) as plotter:
+        for column, (name, values) in enumerate(fields.items()):
+            plotter.subplot(0, column)
+            plotter.set_background("white")
+            image = _image(window, values, name, cells=True)
+            plotter.add_mesh(
+                image, cmap="viridis", clim=(low, top), lighting=False, nan_opacity=0.0, show_scalar_bar=False
+            )
+            if contours and top > low:
+                levels = _image(window, values, name).contour(np.linspace(low, top, contours + 2)[1:-1], scalars=name)
+                if levels.n_points:
+                    plotter.add_mesh(levels.translate((0, 0, 1e-4 * extent)), color="white", line_width=2)
+            plotter.add_mesh(outline, color="black", line_width=3, lighting=False)
+            plotter.add_text(name, position=(0.4, 0.06), viewport=True, font_size=14, color="black")
+            _look_down(plotter, window, _BAR / pixels[1])
         plotter.screenshot(aside)
     aside.replace(target)
     return target

@@ -19,7 +19,7 @@ from nqr_geom.fem.mesh import Mesh
 from nqr_geom.fem.outline import BoundaryValues
 from nqr_geom.fem.space import NotConverged, Solution, Space
 
-__all__ = ["p_laplace"]
+__all__ = ["default_order", "p_laplace"]
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def p_laplace(
     True
     """
     p = check.number("p", p, low=1.0, open_low=True)
-    degree = (2 if 1.2 <= p <= 10.0 else 1) if order is None else check.integer("order", order, low=1, high=2)
+    degree = default_order(p) if order is None else check.integer("order", order, low=1, high=2)
 
     def solve(mesh: Mesh, start: Solution | None) -> Solution:
         return _solve(Space(mesh, degree), boundary, p, start)
@@ -89,6 +89,11 @@ def p_laplace(
     if tol is not None:
         return solve_to_tolerance(solve, mesh, tol, points, max_triangles)
     return solve_twice(solve, mesh)
+
+
+def default_order(p: float) -> int:
+    """Degree of the elements where none is asked for: quadratic for p from 1.2 to 10, linear beyond."""
+    return 2 if 1.2 <= p <= 10.0 else 1
 
 
 def _solve(space: Space, boundary: BoundaryValues, p: float, start: Solution | None) -> Solution:

@@ -49,6 +49,25 @@ def test_pictures_and_grids(tmp_path: Path, ending: str) -> None:
         assert values.min() < 0.0 < values.max()
 
 
+def test_p_harmonic_values_of_a_square(tmp_path: Path) -> None:
+    square, values, out = tmp_path / "square.npy", tmp_path / "values.npy", tmp_path / "u.npy"
+    np.save(square, [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    np.save(values, [0.0, 1.0, 1.0, 0.0])
+    arguments = ["p-laplace", str(square), "--values", str(values), "--p", "4", "--resolution", "26"]
+    assert cli.main([*arguments, "--out", str(out)]) == 0
+    field = np.load(out)
+    inside = np.isfinite(field)
+    assert np.count_nonzero(inside) == 400
+    grid = np.broadcast_to((np.arange(26) - 12.5) * 1.3 / 26 + 0.5, (26, 26))
+    np.testing.assert_allclose(field[inside], grid[inside], atol=1e-9)
+
+
+def test_p_harmonic_picture_of_an_svg_outline(tmp_path: Path) -> None:
+    out = tmp_path / "u.png"
+    assert cli.main(["p-laplace", SQUARE, "--p", "1.5", "--resolution", "40", "--out", str(out)]) == 0
+    assert out.stat().st_size > 5_000
+
+
 def test_frontier_writes_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "toy.json"
     arguments = ["frontier", "toy", "--shapes", "20", "--methods", "mc", "--methods", "trapezoid"]
@@ -77,6 +96,10 @@ BAD = {
     "toy has no curve": (["frontier", "toy", "--input", SQUARE], "problem: expected gwn or sd"),
     "no shapes": (["frontier", "gwn", "--shapes", "0"], "shapes: expected an integer >= 1"),
     "unknown kind": (["list", "nothing"], "kind: expected one of"),
+    "p of one": (["p-laplace", SQUARE, "--p", "1"], "p: expected a number > 1"),
+    "unknown values": (["p-laplace", SQUARE, "--values", "z"], "values: expected one of x, y, saddle, waves"),
+    "missing values": (["p-laplace", SQUARE, "--values", "no.npy"], "values: expected an existing file"),
+    "open outline": (["p-laplace", "M0 0 L1 0 L1 1"], "polygon: expected a closed curve"),
     "unknown command": (["magic"], "magic"),
     "not a number": (["gwn", SQUARE, "-n", "many"], "many"),
 }
