@@ -28,6 +28,7 @@ _PUBLIC = {
     "sd": "nqr_geom.api",
     "sd_gradient": "nqr_geom.api",
     "signed_distance": "nqr_geom.api",
+    "solve_laplace": "nqr_geom.api",
 }
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "sd",
     "sd_gradient",
     "signed_distance",
+    "solve_laplace",
 ]
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
         sd,
         sd_gradient,
         signed_distance,
+        solve_laplace,
     )
     from nqr_geom.curves.curve import Curve
 

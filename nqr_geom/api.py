@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
+from nqr_geom.pde import solve_laplace
 
 if TYPE_CHECKING:
     from nqr_geom.curves.distance import ClosestPoint
@@ -31,6 +32,7 @@ __all__ = [
     "sd",
     "sd_gradient",
     "signed_distance",
+    "solve_laplace",
 ]
 
 Floats = NDArray[np.float64]

@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from nqr_geom.curves.families import curves
 from nqr_geom.problems import toy
+from nqr_geom.wos.families import polygons
 
-__all__ = ["curves", "toy"]
+__all__ = ["curves", "polygons", "toy"]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from nqr_geom.curves.curve import Curve
 from nqr_geom.curves.problems import GwnProblem, SdProblem
 from nqr_geom.toy.problem import ToyProblem
+from nqr_geom.wos.problems import STEPS, LaplaceProblem
 
-__all__ = ["gwn", "sd", "toy"]
+__all__ = ["gwn", "laplace", "sd", "toy"]
 
 
 def gwn(curve: Curve | Sequence[Curve], points: ArrayLike) -> GwnProblem:
@@ -49,6 +51,30 @@ def sd(curve: Curve | Sequence[Curve], points: ArrayLike, alpha: float = 35.0) -
         Sharpness, > 0, in units of one over length.
     """
     return SdProblem.of(curve, points, alpha)
+
+
+def laplace(
+    polygon: Any, boundary: Any, points: ArrayLike, *, max_steps: int = STEPS, epsilon: float = 1e-3
+) -> LaplaceProblem:
+    """Harmonic functions as means over walks on spheres (Section 6.4).
+
+    Parameters
+    ----------
+    polygon, boundary, points
+        As for `solve_laplace`; all points inside.
+    max_steps : int
+        Steps a walk may take, the dimension of the integral.
+    epsilon : float
+        Shell in which a walk ends, as a part of the local size.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> problem = ng.problems.laplace([[0, 0], [1, 0], [1, 1], [0, 1]], [0.0, 1.0, 1.0, 0.0], [[0.5, 0.5]])
+    >>> problem.dim, problem.batch
+    (12, 1)
+    """
+    return LaplaceProblem.of(polygon, boundary, points, max_steps=max_steps, epsilon=epsilon)
 
 
 def toy(n: int, seed: int = 0, split: str = "test") -> ToyProblem:

@@ -202,6 +202,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
         Entry("toy", _TOY + "problem:ToyProblem", "piecewise smooth functions with hidden breaks", dims="1"),
         Entry("gwn", _CURVES + "problems:GwnProblem", "generalised winding number of a curve", dims="1"),
         Entry("sd", _CURVES + "problems:SdProblem", "smoothed distance to a curve", dims="1"),
+        Entry("laplace", "nqr_geom.wos.problems:LaplaceProblem", "harmonic function by walks on spheres"),
     ),
     "model": tuple(
         Entry(name, _RECIPES + "model", summary, options={"name": name}, linear=False, dims="1", needs=problem)

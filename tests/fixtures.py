@@ -36,6 +36,14 @@ def _toy() -> Problem:
     return ng.problems.toy(5)
 
 
+def _laplace() -> Problem:
+    """Five queries in a square, walks of four steps."""
+    import nqr_geom as ng
+
+    square = [[-0.2, -0.2], [1.2, -0.2], [1.2, 1.2], [-0.2, 1.2]]
+    return ng.problems.laplace(square, [0.0, 1.0, 0.5, -1.0], _POINTS, max_steps=4)
+
+
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "line": smooth,
     "square": lambda: smooth(2),
@@ -43,9 +51,10 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "toy": _toy,
     "gwn": lambda: _curve_problem("gwn"),
     "sd": lambda: _curve_problem("sd"),
+    "laplace": _laplace,
 }
 
-_ANY = ("line", "square", "toy", "gwn", "sd")
+_ANY = ("line", "square", "toy", "gwn", "sd", "laplace")
 
 # What an entry needs -> the problems that bring it.
 BRINGS: dict[str, tuple[str, ...]] = {

@@ -277,11 +277,12 @@ class Boundary:
         return evaluated("boundary", self.function, self.domain.from_frame(self.domain.at(edge, t).reshape(-1, 2))
                          ).reshape(t.shape)  # fmt: skip
 
-    def constant(self) -> float | None:
-        """The value if there is but one; only told of values at vertices."""
-        if self.linear is not None and (self.linear == self.linear[0, 0]).all():
-            return float(self.linear[0, 0])
-        return None
+    def less(self, level: float) -> Boundary:
+        """The same values less a number."""
+        if self.linear is not None:
+            return Boundary(self.domain, linear=self.linear - level)
+        function = self.function
+        return Boundary(self.domain, function=lambda points: evaluated("boundary", function, points) - level)
 
 
 def evaluated(name: str, function: Callable[[Floats], ArrayLike] | None, points: Floats) -> Floats:

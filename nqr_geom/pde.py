@@ -1,0 +1,355 @@
+"""Harmonic functions and their kin on polygons: `solve_laplace` picks a solver, runs it and says what it did."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nqr_geom import check
+from nqr_geom.streams import Stream
+
+if TYPE_CHECKING:
+    from nqr_geom.integrator.estimate import Estimate, Statistics
+    from nqr_geom.wos.domain import Boundary, Domain
+    from nqr_geom.wos.walk import Physics
+
+__all__ = ["METHODS", "solve_laplace"]
+
+Floats = NDArray[np.float64]
+Source = Callable[[Floats], ArrayLike] | float | None
+
+METHODS = ("auto", "wos", "wos-lhs", "boundary", "fem")
+
+_STEPS = 10_000  # of a walk that is not told otherwise: it ends after some ten or twenty
+_PILOT = 64  # walks a query before the first look at the spread
+_MOST_WALKS = 2**20  # a query, before giving up on a tolerance
+_TILE = 2**18  # walks held at a time
+_WALK_SECONDS = 2.5e-6  # one walk on one core, for "auto" to compare with
+_SURE = 3.0  # standard errors within the tolerance
+
+
+def solve_laplace(
+    polygon: Any,
+    boundary: Any,
+    points: ArrayLike,
+    *,
+    method: str = "auto",
+    tol: float = 1e-3,
+    n: int | None = None,
+    max_steps: int | None = None,
+    epsilon: float = 1e-3,
+    source: Source = None,
+    screening: float = 0.0,
+    outside: str = "raise",
+    seed: int = 0,
+    full_output: bool = False,
+) -> Floats | Estimate:
+    """Solve -laplace(u) + screening u = source in a polygon, u = boundary on its edge, at points.
+
+    Parameters
+    ----------
+    polygon : (n, 2) array_like, shapely Polygon with holes, or closed Curve
+        The domain; vertices in either order. A curved outline is flattened to 1e-4 of the longer side of its box.
+    boundary : callable or (n,) array_like
+        Values on the edge: a function (m, 2) -> (m,), or one number a vertex in given order, linear along the edges.
+        A vertex given twice may carry a jump.
+    points : (m, 2) array_like
+        Queries, finite.
+    method : {"auto", "wos", "wos-lhs", "boundary", "fem"}
+        "boundary": deterministic, to many digits, Laplace only. "wos": independent walks to the epsilon shell.
+        "wos-lhs": `n` walks of at most `max_steps` (12) steps with Latin hypercube directions, as in the paper.
+        "fem": finite elements. "auto": what should meet `tol` at the least cost.
+    tol : float
+        Absolute error to aim for: walks are added until three standard errors are within it, unless `n` says how many.
+        "boundary" goes further, to 1e-8 of the spread of the boundary values where it can.
+    n : int, optional
+        Walks a query. The default for "wos-lhs" is 32.
+    max_steps : int, optional
+        Jumps of a walk before it takes the boundary value closest to it; such walks are counted. 10,000 by default.
+    epsilon : float
+        Shell in which a walk ends, as a part of the local size of the domain, so that channels are no special case.
+    source : callable or float, optional
+        Right-hand side, a function (m, 2) -> (m,) or a number, in value per length squared.
+    screening : float
+        >= 0, per length squared.
+    outside : {"raise", "nan"}
+        What to do with points outside the polygon.
+    seed : int
+        The same seed gives the same walks, whatever else is asked for.
+    full_output : bool
+        Return the `Estimate`: walks by outcome and steps in `counts`, the choice and the residual in `plan`.
+
+    Returns
+    -------
+    (m,) float64 ndarray, or Estimate
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is of the wrong kind, shape or range, a point lies outside, or a method cannot do what is asked.
+
+    References
+    ----------
+    Section 6.4 and Appendix A.5 of the paper; Sawhney, Crane, Monte Carlo geometry processing, 2020.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    >>> ng.solve_laplace(square, [0.0, 1.0, 1.0, 0.0], [[0.25, 0.5], [0.5, 0.1]], method="boundary").round(6)
+    array([0.25, 0.5 ])
+    """
+    from nqr_geom.wos.domain import Domain
+    from nqr_geom.wos.walk import Physics
+
+    check.choice("method", method, METHODS)
+    check.choice("outside", outside, ["raise", "nan"])
+    tol = check.number("tol", tol, low=0.0, open_low=True)
+    epsilon = check.number("epsilon", epsilon, low=1e-12, high=0.5)
+    screening = check.number("screening", screening, low=0.0)
+    seed = check.integer("seed", seed)
+    n = None if n is None else check.integer("n", n, low=1)
+    max_steps = None if max_steps is None else check.integer("max_steps", max_steps, low=1)
+    if source is not None and not callable(source):
+        source = check.number("source", source) or None
+    domain = Domain.of(polygon)
+    values = domain.boundary(boundary)
+    framed = domain.to_frame(points)
+    inside = domain.contains(framed)
+    if outside == "raise" and not inside.all():
+        row = int(np.flatnonzero(~inside)[0])
+        where = domain.from_frame(framed[row : row + 1])[0].tolist()
+        raise ValueError(f'points: expected points inside the polygon (or outside="nan"), got {where} at row {row}')
+    physics = Physics(screening * domain.unit**2, _framed(domain, source))
+    plan: dict[str, Any] = {"method": method}
+    if method == "auto":
+        method, why = _cheapest(values, int(inside.sum()), tol, physics)
+        plan = {"method": method, "why": why}
+    if method in ("boundary", "wos-lhs") and (physics.screening > 0.0 or physics.source is not None):
+        what = "screening" if physics.screening > 0.0 else "source"
+        raise ValueError(f"{what}: expected none with method {method!r}, which solves Laplace's equation, got one")
+    if method == "boundary":
+        estimate = _by_boundary(values, framed[inside], tol)
+    elif method == "fem":
+        whole = _polygon(domain, polygon)
+        estimate = _by_fem(whole, boundary, domain.from_frame(framed[inside]), tol, source, screening)
+    elif method == "wos-lhs":
+        estimate = _by_hypercube(values, framed, inside, n or 32, max_steps or 12, epsilon, seed)
+    else:
+        settings = {"epsilon": epsilon, "max_steps": max_steps or _STEPS, "physics": physics}
+        estimate = _by_walks(values, framed[inside], np.flatnonzero(inside), n, tol, seed, settings)
+    estimate = replace(estimate, plan={**estimate.plan, **plan, "tol": tol})
+    estimate = _scattered(estimate, inside)
+    return estimate if full_output else estimate.value[:, 0]
+
+
+def _framed(domain: Domain, source: Source) -> Callable[[Floats], Floats] | None:
+    """A source in the domain's frame, where lengths are shorter by its unit."""
+    from nqr_geom.wos.domain import evaluated
+
+    if source is None:
+        return None
+    area = domain.unit**2
+    if callable(source):
+        function = source
+        return lambda framed: area * evaluated("source", function, domain.from_frame(framed))
+    return lambda framed: np.full(len(framed), area * source)
+
+
+def _cheapest(values: Boundary, queries: int, tol: float, physics: Physics) -> tuple[str, str]:
+    """The method that should meet the tolerance first, and the reason in words."""
+    edges = len(values.domain)
+    if physics.screening > 0.0 or physics.source is not None:
+        return "fem", "a source or screening, and deterministic where walks are noisy"
+    probe = values.at(np.repeat(np.arange(edges), 3), np.tile([0.1, 0.5, 0.9], edges))
+    walks = max(_PILOT, (_SURE * 0.3 * float(np.ptp(probe)) / tol) ** 2)
+    walking = queries * walks * _WALK_SECONDS
+    # Measured: dense corners, then a matrix of about 50 nodes an edge that is filled and multiplied.
+    solving = 0.02 * edges + 2.5e-5 * edges**2 + 2e-7 * edges * queries
+    if walking < solving:
+        return "wos", f"about {walks:.2g} walks a query take {walking:.2g} s, the boundary solver {solving:.2g} s"
+    return "boundary", f"about {walks:.2g} walks a query would take {walking:.2g} s, this {solving:.2g} s"
+
+
+def _estimate(
+    value: Floats,
+    statistics: Statistics,
+    stderr: Floats | None,
+    n: int,
+    counts: dict[str, int],
+    seconds: float,
+    **plan: Any,
+) -> Estimate:
+    from nqr_geom.integrator.estimate import Estimate
+
+    return Estimate(
+        value=value,
+        stderr=stderr,
+        n=n,
+        inner=value,
+        counts=counts,
+        seconds=seconds,
+        stages={"all": seconds},
+        peak_memory=None,
+        effects=frozenset(),
+        fallback=np.zeros(len(value), dtype=bool),
+        plan={"problem": "laplace", "n": n, "replicates": 1, **plan},
+        statistics=statistics,
+    )
+
+
+def _sure(value: Floats, seconds: float, **plan: Any) -> Estimate:
+    """A deterministic answer (m,) as an estimate without spread."""
+    from nqr_geom.integrator.estimate import Statistics
+
+    column = value[:, None]
+    statistics = Statistics(column, np.zeros_like(column), 1, "replicates")
+    counts = {"samples": 0, "queries": 0}
+    return _estimate(column, statistics, None, 0, counts, seconds, sampler="none", seeds=(), **plan)
+
+
+def _by_boundary(values: Boundary, framed: Floats, tol: float) -> Estimate:
+    from nqr_geom.wos.boundary import solve
+
+    start = time.perf_counter()
+    edges = len(values.domain)
+    probe = values.at(np.repeat(np.arange(edges), 3), np.tile([0.1, 0.5, 0.9], edges))
+    relative = tol / (float(np.ptp(probe)) or 1.0)
+    solution = solve(values.domain, values, min(relative, 1e-8 if edges <= 100 else 1e-6))
+    value = solution.at(framed)
+    told = {"residual": solution.residual, "unknowns": solution.unknowns, "met": solution.residual <= tol}
+    return _sure(value, time.perf_counter() - start, rule="boundary", **told)
+
+
+def _polygon(domain: Domain, polygon: Any) -> Any:
+    """What the finite elements take: the user's polygon, or the flattened one of a curve."""
+    from nqr_geom.curves.curve import Curve
+
+    if not isinstance(polygon, Curve):
+        return polygon
+    import shapely
+
+    rings = [domain.from_frame(domain.start[domain.loop == k]) for k in range(int(domain.loop[-1]) + 1)]
+    return shapely.Polygon(rings[0], rings[1:])
+
+
+def _by_fem(polygon: Any, boundary: Any, points: Floats, tol: float, source: Source, screening: float) -> Estimate:
+    from nqr_geom.fem.linear import laplace
+
+    start = time.perf_counter()
+    solution = laplace(polygon, boundary, source=source, screening=screening, tol=tol, points=points)
+    value = solution(points)
+    return _sure(value, time.perf_counter() - start, rule="fem", triangles=len(solution.space.mesh.triangles))
+
+
+def _by_hypercube(
+    values: Boundary, framed: Floats, inside: NDArray[np.bool_], n: int, max_steps: int, epsilon: float, seed: int
+) -> Estimate:
+    """The integrator on the walk problem, less a constant so that constants are exact."""
+    check.require("torch", "learn", "methods such as 'wos-lhs'")
+    import torch
+
+    from nqr_geom import registry
+    from nqr_geom.integrator.estimate import run
+    from nqr_geom.wos.problems import LaplaceProblem
+
+    level = float(values.at(np.zeros(1, dtype=np.int64), np.zeros(1))[0])
+    problem = LaplaceProblem.joined([values.less(level)], [framed[inside]], max_steps, epsilon)
+    problem = replace(problem, rows=torch.from_numpy(np.flatnonzero(inside)))
+    estimate = run(problem, registry.make("sampler", "latin-hypercube"), registry.make("rule", "mc"), n, seed=seed)
+    statistics = replace(estimate.statistics, mean=estimate.statistics.mean + level)
+    return replace(estimate, value=estimate.value + level, inner=estimate.inner + level, statistics=statistics)
+
+
+def _by_walks(
+    values: Boundary,
+    framed: Floats,
+    rows: NDArray[np.int64],
+    n: int | None,
+    tol: float,
+    seed: int,
+    settings: dict[str, Any],
+) -> Estimate:
+    """Independent walks, as many as asked for or until every standard error is small enough."""
+    start = time.perf_counter()
+    stream = Stream(seed, "test", "samples/0")
+    counts: dict[str, int] = {}
+    total = _batch(values, framed, rows, np.arange(n or _PILOT), stream, settings, counts)
+    while n is None and total.count < _MOST_WALKS and len(framed) and _SURE * _largest(total) > tol:
+        wanted = total.count * (_SURE * _largest(total) / tol) ** 2
+        upto = int(min(max(1.2 * wanted, 2 * total.count), 8 * total.count, _MOST_WALKS))
+        fresh = np.arange(total.count, upto)
+        total = total.merge(_batch(values, framed, rows, fresh, stream, settings, counts))
+    told = {"met": bool(len(framed) == 0 or _SURE * _largest(total) <= tol)} if n is None else {}
+    counts = {"samples": total.count * len(framed), "queries": counts.get("steps", 0), **counts}
+    seconds = time.perf_counter() - start
+    what = {"sampler": "random", "rule": "mc", "seeds": (seed,), **told}
+    return _estimate(total.mean, total, total.stderr, total.count, counts, seconds, **what)
+
+
+def _largest(statistics: Statistics) -> float:
+    return float(statistics.stderr.max()) if statistics.stderr is not None else np.inf
+
+
+def _batch(
+    values: Boundary,
+    framed: Floats,
+    rows: NDArray[np.int64],
+    walks: NDArray[np.int64],
+    stream: Stream,
+    settings: dict[str, Any],
+    counts: dict[str, int],
+) -> Statistics:
+    """Statistics of some walks from every query, held a tile of queries and walks at a time."""
+    from nqr_geom.integrator.estimate import Statistics
+    from nqr_geom.wos.walk import walk
+
+    mean, m2 = np.zeros((len(framed), 1)), np.zeros((len(framed), 1))
+    of = np.zeros(len(framed), dtype=np.int64)
+    height = max(1, _TILE // len(walks))
+    for low in range(0, len(framed), height):
+        part = slice(low, low + height)
+        whole: Statistics | None = None
+        for first in range(0, len(walks), _TILE):
+            some = walks[first : first + _TILE]
+            ended = walk(values.domain.nearest, of[part], framed[part], rows[part], some, stream, **settings)
+            terms = values.at(ended.edge, ended.t)
+            if ended.weight is not None:
+                terms = terms * ended.weight
+            if ended.gained is not None:
+                terms = terms + ended.gained
+            for key, count in ended.counts().items():
+                counts[key] = counts.get(key, 0) + count
+            # Relative to the first one, so that equal terms have exactly that mean.
+            off = terms - terms[:, :1]
+            average = off.mean(axis=1, keepdims=True)
+            spread = ((off - average) ** 2).sum(axis=1, keepdims=True)
+            piece = Statistics(terms[:, :1] + average, spread, len(some), "samples")
+            whole = piece if whole is None else whole.merge(piece)
+        if whole is not None:
+            mean[part], m2[part] = whole.mean, whole.m2
+    return Statistics(mean, m2, len(walks), "samples")
+
+
+def _scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
+    """The estimate on all points, NaN at those outside."""
+    if inside.all():
+        return estimate
+
+    def spread(column: Floats) -> Floats:
+        result = np.full((len(inside), column.shape[1]), np.nan)
+        result[inside] = column
+        return result
+
+    fallback = np.zeros(len(inside), dtype=bool)
+    fallback[inside] = estimate.fallback
+    value = spread(estimate.value)
+    statistics = replace(estimate.statistics, mean=value, m2=spread(estimate.statistics.m2))
+    stderr = None if estimate.stderr is None else spread(estimate.stderr)
+    inner = spread(estimate.inner)
+    return replace(estimate, value=value, inner=inner, stderr=stderr, fallback=fallback, statistics=statistics)

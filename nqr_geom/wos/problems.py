@@ -1,0 +1,261 @@
+"""Walk on spheres as an integral over directions: x[..., j] in [0, 1) turns step j (Section 6.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from nqr_geom import check
+from nqr_geom.curves._rows import over_rows
+from nqr_geom.integrator.problem import Feature, Observation, Schema, WalkProblem
+from nqr_geom.wos.boundary import solve
+from nqr_geom.wos.domain import Boundary, Domain
+from nqr_geom.wos.families import polygons, queries
+from nqr_geom.wos.nearest import BINS, Nearest, join, nearest_rows
+
+__all__ = ["STEPS", "LaplaceProblem", "WalkState"]
+
+STEPS = 12  # the paper's
+
+_SEEN = {"closest": 2, "distance": 1, "arc_length": 1, "boundary_value": 1, "from_start": 2, "angle": 2, "alive": 1}
+
+
+@dataclass(frozen=True)
+class WalkState:
+    """Walks under way.
+
+    Parameters
+    ----------
+    position : Tensor, (B, N, 2)
+        In the frames of the domains.
+    edge, t, distance : Tensor, (B, N)
+        Where the boundary is closest, and how far.
+    alive : Tensor, (B, N), bool
+        Not in the epsilon shell yet.
+    steps : Tensor, (B, N), int64
+        Jumps made.
+    history : tuple of Tensor
+        What was observed before every step so far, (B, N, 10) each.
+    """
+
+    position: Tensor
+    edge: Tensor
+    t: Tensor
+    distance: Tensor
+    alive: Tensor
+    steps: Tensor
+    history: tuple[Tensor, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LaplaceProblem(WalkProblem):
+    """Harmonic functions at B points, each on one of S domains, as means over walks of at most `dim` steps.
+
+    A walk that is not in the epsilon shell after its last step takes the boundary value closest to it, so the estimate
+    has a bias; the reference is the solution of the equation, and that bias counts as error.
+
+    Parameters
+    ----------
+    boundaries : sequence of Boundary
+        S domains with their values.
+    geometry : Nearest
+        Their edges, one behind the other.
+    points : Tensor, (B, 2), float64
+        Queries in the frames of their domains.
+    shape : Tensor, (B,), int64
+        Which domain each query belongs to.
+    rows : Tensor, (B,), int64
+        Global index of each integral.
+    dim : int
+        Steps a walk may take.
+    epsilon : float
+        Width of the shell as a part of the local size.
+
+    Examples
+    --------
+    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    >>> problem = LaplaceProblem.of(square, [0.0, 1.0, 1.0, 0.0], [[0.25, 0.5], [0.5, 0.5]])
+    >>> problem.reference().round(9).tolist()
+    [[0.25], [0.5]]
+    """
+
+    boundaries: tuple[Boundary, ...]
+    geometry: Nearest
+    points: Tensor
+    shape: Tensor
+    rows: Tensor
+    dim: int = STEPS
+    epsilon: float = 1e-3
+
+    name = "laplace"
+
+    @classmethod
+    def of(
+        cls, polygon: Any, boundary: Any, points: ArrayLike, *, max_steps: int = STEPS, epsilon: float = 1e-3
+    ) -> LaplaceProblem:
+        """One domain and its queries (m, 2), which must lie inside."""
+        domain = Domain.of(polygon)
+        framed = domain.to_frame(points)
+        outside = ~domain.contains(framed)
+        if outside.any():
+            row = int(np.flatnonzero(outside)[0])
+            where = np.asarray(points, dtype=np.float64)[row].tolist()
+            raise ValueError(f"points: expected points inside the polygon, got {where} at row {row}")
+        return cls.joined([domain.boundary(boundary)], [framed], max_steps, epsilon)
+
+    @classmethod
+    def joined(
+        cls, boundaries: Sequence[Boundary], framed: Sequence[NDArray[np.float64]], max_steps: int, epsilon: float
+    ) -> LaplaceProblem:
+        """Several domains with queries inside, in their frames."""
+        counts = torch.tensor([len(part) for part in framed])
+        return cls(
+            tuple(boundaries),
+            join([boundary.domain.nearest for boundary in boundaries]),
+            torch.from_numpy(np.concatenate(framed)),
+            torch.arange(len(framed)).repeat_interleave(counts),
+            torch.arange(int(counts.sum())),
+            check.integer("max_steps", max_steps, low=1),
+            check.number("epsilon", epsilon, low=0.0, open_low=True),
+        )
+
+    @classmethod
+    def family(cls, n: int, seed: int = 0, split: str = "test", points: int = 256) -> LaplaceProblem:
+        """n random star-shaped polygons of Fig. 41, each with uniform query points inside.
+
+        Parameters
+        ----------
+        n : int
+            Number of shapes.
+        seed, split
+            Which shapes, see `nqr_geom.wos.families.polygons`.
+        points : int
+            Queries a shape.
+        """
+        vertices, values = polygons(n, seed=seed, split=split)
+        points = check.integer("points", points, low=1)
+        domains = [Domain.of(v) for v in vertices]
+        framed = [d.to_frame(queries(d, points, k, seed, split)) for k, d in enumerate(domains)]
+        boundaries = [d.boundary(v) for d, v in zip(domains, values, strict=True)]
+        return cls.joined(boundaries, framed, STEPS, 1e-3)
+
+    @property
+    def groups(self) -> NDArray[np.int64]:
+        return self.shape.cpu().numpy()
+
+    @property
+    def schema(self) -> Schema:  # type: ignore[override]
+        """Section 6.4's sequence of every step, and how the walk ended."""
+        return Schema(
+            (
+                Feature("steps", "scalar", self.dim * sum(_SEEN.values())),
+                Feature("length", "scalar"),
+                Feature("finished", "index", levels=2),
+            )
+        )
+
+    def _search(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Closest edge, parameter, distance and whether outside the shell, (B, N) each."""
+        points = np.ascontiguousarray(position.numpy().reshape(-1, 2))
+        of = np.repeat(self.shape.numpy(), position.shape[1])
+        m = len(points)
+        edge, t, square = np.empty(m, np.int64), np.empty(m), np.empty(m)
+        edges, size, grid, shape, first, items = self.geometry
+
+        def rows(i: int, j: int) -> None:
+            out = (edge[i:j], t[i:j], square[i:j])
+            nearest_rows(edges, grid, shape, first, items, of[i:j], points[i:j], *out)
+
+        over_rows(rows, m)
+        distance = np.sqrt(square)
+        shell = np.maximum(self.epsilon * size[edge, np.minimum((t * BINS).astype(np.int64), BINS - 1)], 1e-14)
+        found = (edge, t, distance, distance > shell)
+        return tuple(torch.from_numpy(a).reshape(position.shape[:2]) for a in found)  # type: ignore[return-value]
+
+    def start(self, n: int) -> WalkState:
+        """n walks at every query."""
+        edge, t, distance, alive = self._search(self.points[:, None])
+        position = self.points[:, None].expand(-1, n, -1)
+        edge, t, distance, alive = (a.expand(-1, n) for a in (edge, t, distance, alive))
+        return WalkState(position, edge, t, distance, alive, torch.zeros(position.shape[:2], dtype=torch.int64))
+
+    def observe(self, state: WalkState) -> Mapping[str, Tensor]:
+        """What each walk sees before its next step; zeros once it has ended.
+
+        Lengths are in the domain's frame. "closest" and "from_start" are relative to the position and to the query.
+        """
+        edge, shape = state.edge.numpy(), self.shape.numpy()
+        edges = self.geometry.edges
+        local = edge - self.geometry.shape[shape, 3][:, None]
+        t = state.t.numpy()
+        corner = torch.from_numpy(edges[edge, :2] + t[..., None] * edges[edge, 2:4])
+        arc, value = np.empty(edge.shape), np.empty(edge.shape)
+        for k in np.unique(shape):
+            of, boundary = shape == k, self.boundaries[k]
+            arc[of] = boundary.domain.arc[local[of]] + t[of] * boundary.domain.lengths[local[of]]
+            value[of] = boundary.at(local[of], t[of])
+        away = corner - state.position
+        turn = torch.atan2(away[..., 1], away[..., 0])
+        seen = {
+            "closest": away,
+            "distance": state.distance[..., None],
+            "arc_length": torch.from_numpy(arc)[..., None],
+            "boundary_value": torch.from_numpy(value)[..., None],
+            "from_start": corner - self.points[:, None],
+            "angle": torch.stack([turn.cos(), turn.sin()], dim=-1),
+            "alive": torch.ones_like(state.distance)[..., None],
+        }
+        return {name: torch.where(state.alive[..., None], tensor, 0.0) for name, tensor in seen.items()}
+
+    def step(self, state: WalkState, x: Tensor) -> WalkState:
+        """Jump onto the largest circle in direction 2 pi x, where the walk has not ended."""
+        seen = torch.cat(list(self.observe(state).values()), dim=-1)
+        return replace(self._jump(state, x), history=(*state.history, seen))
+
+    def _jump(self, state: WalkState, x: Tensor) -> WalkState:
+        turn = 2.0 * math.pi * x
+        jump = state.distance[..., None] * torch.stack([turn.cos(), turn.sin()], dim=-1)
+        position = torch.where(state.alive[..., None], state.position + jump, state.position)
+        edge, t, distance, outside = self._search(position)
+        steps = state.steps + state.alive
+        return replace(
+            state, position=position, edge=edge, t=t, distance=distance, alive=state.alive & outside, steps=steps
+        )
+
+    def finish(self, state: WalkState) -> Observation:
+        """Boundary value closest to each walk's last position, and the walk."""
+        edge, shape, t = state.edge.numpy(), self.shape.numpy(), state.t.numpy()
+        local = edge - self.geometry.shape[shape, 3][:, None]
+        value = np.empty(edge.shape)
+        for k in np.unique(shape):
+            of = shape == k
+            value[of] = self.boundaries[k].at(local[of], t[of])
+        features = {
+            "steps": torch.cat(state.history, dim=-1)[:, :, None],
+            "length": state.steps.double()[:, :, None, None],
+            "finished": (~state.alive).long()[:, :, None, None],
+        }
+        return Observation(torch.from_numpy(value)[:, :, None, None], features, queries=int(state.steps.sum()))
+
+    def take(self, index: slice | Tensor) -> LaplaceProblem:
+        return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index])
+
+    def reference(self) -> NDArray[np.float64]:
+        """The solution of the equation to about 1e-9 of the spread of the boundary values, (B, 1)."""
+        result = np.empty((self.batch, 1))
+        shape, points = self.shape.numpy(), self.points.numpy()
+        for k in np.unique(shape):
+            boundary = self.boundaries[k]
+            result[shape == k, 0] = solve(boundary.domain, boundary).at(points[shape == k])
+        return result
+
+    def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
+        """The deterministic solver."""
+        return {"boundary": self.reference}
