@@ -86,6 +86,23 @@ def test_rows_do_not_depend_on_their_batch(name: str) -> None:
         assert torch.equal(answers(index), whole[index])
 
 
+def test_the_network_always_sees_tiles_of_one_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Float32 products may change with the number of rows, on some machines."""
+    recipe = RECIPES["toy-uniform"]
+    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra)
+    shapes = set()
+    forward = INet.forward
+
+    def watched(self: INet, tokens: torch.Tensor) -> torch.Tensor:
+        shapes.add(tuple(tokens.shape))
+        return forward(self, tokens)
+
+    monkeypatch.setattr(INet, "forward", watched)
+    for rows in (1, 300, 600):
+        rule.combine(seen(recipe, rows))
+    assert shapes == {(256 * 32 // 16, 16, recipe.config.tokens.width)}
+
+
 def test_padding_changes_nothing() -> None:
     config = INetConfig(TokenConfig(), layers=2, width=16)
     net = shaken(config)
@@ -165,6 +182,7 @@ def test_tokens_are_finite_for_any_finite_values(name: str, size: float) -> None
     assert tokens.shape == (4, 16, 1, recipe.config.tokens.width)
     assert tokens.dtype == torch.float32
     assert tokens.isfinite().all()
+    assert tokens.abs().max() <= 16.0
 
 
 def test_a_spoilt_row_stays_alone() -> None:

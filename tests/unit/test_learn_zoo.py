@@ -198,3 +198,34 @@ def test_only_a_run_of_the_recipe_becomes_a_model(tmp_path: Path) -> None:
     )
     with pytest.raises(ValueError, match="run: expected a run of 'other', got one of 'toy-uniform'"):
         publish(replace(SMALL, name="other"), tmp_path / "run", tmp_path / "models")
+
+
+def test_a_model_of_doubts_leaves_the_rest_to_its_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only flagged integrals reach the network, and only they are reported, in or out of its range."""
+    recipe = RECIPES["gwn-structured"]
+    net = INet(recipe.config)
+    torch.nn.init.constant_(net.head.bias, 0.01)
+    low, high = measure_box(recipe, 256)
+    made = Card(
+        recipe.name, "gwn", recipe.base, recipe.consistent, recipe.config, 1, 1, 0, 0.0, {}, low, high,
+        sizes=(8, 32), shares=(1.0, 1.0),
+    )  # fmt: skip
+    base = recipe.base_rule()
+    model = Model(made, LearnedRule(net, base, recipe.extra), base, recipe.sees)
+    problem = recipe.family(torch.arange(200), 0, "test").problem
+    for n in (32, 33):
+        samples = draw_samples(problem, ("random",), n, Stream(0))
+        plain, result = base.combine(samples), model.combine(samples)
+        assert torch.equal(result.fallback, plain.fallback)
+        sure = ~plain.fallback
+        assert 0.05 < plain.fallback.double().mean() < 0.3
+        assert torch.equal(result.estimate(samples)[sure], plain.estimate(samples)[sure])
+        changed = (result.estimate(samples) != plain.estimate(samples))[:, 0]
+        assert changed.any() == (n == 32)
+    seen_rows: list[int] = []
+    forward = INet.forward
+    monkeypatch.setattr(INet, "forward", lambda self, x, p=None: seen_rows.append(len(x)) or forward(self, x, p))
+    doubtful = int(base.combine(draw_samples(problem, ("random",), 32, Stream(0))).fallback.sum())
+    model.combine(draw_samples(problem, ("random",), 32, Stream(0)))
+    assert sum(seen_rows) == 256  # one tile for some 25 rows, none for the others
+    assert doubtful < 100

@@ -189,7 +189,14 @@ class LearnedRule(Rule):
         ordered, order = sort_samples(samples)
         tokens = tokenize(ordered, self.net.config.tokens, self.extra)  # (B, N, T, width)
         b, n, t, width = tokens.shape
-        raw = self._in_tiles(tokens.view(b, n * t, width)).view(b, n, t, -1)
+        tokens = tokens.view(b, n * t, width)
+        if self.net.config.doubtful_only and base.fallback is not None:
+            raw = tokens.new_zeros(b, n * t, self.net.config.outputs)
+            if base.fallback.any():
+                raw[base.fallback] = self._in_tiles(tokens[base.fallback])
+        else:
+            raw = self._in_tiles(tokens)
+        raw = raw.view(b, n, t, -1)
         if order is not None:
             raw = torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
         return correct(raw, base, samples, self.net.config)

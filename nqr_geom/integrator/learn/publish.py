@@ -33,6 +33,17 @@ def measure_box(recipe: Recipe, integrals: int = 2**15, seed: int = 0) -> tuple[
     return tuple(ends[0].tolist()), tuple(ends[1].tolist())
 
 
+def faded(share: float, before: float) -> float:
+    """A share beyond the trained sizes: not above the one before, and 0 where it is negligible.
+
+    Examples
+    --------
+    >>> faded(0.9, 0.5), faded(0.3, 0.5), faded(0.01, 0.5)
+    (0.5, 0.3, 0.0)
+    """
+    return min(share, before) if share >= _LEAST_SHARE else 0.0
+
+
 @torch.no_grad()
 def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, seed: int = 0) -> tuple[float, ...]:
     """Share of the network at each N that minimises the squared error on validation integrals.
@@ -56,8 +67,7 @@ def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, se
             total += float((theirs - mine).square().sum())
         share = min(1.0, max(0.0, gain / total)) if total > 0.0 else 0.0
         if n > trained:
-            share = min(share, shares[-1]) if shares else share
-            share = share if share >= _LEAST_SHARE else 0.0
+            share = faded(share, shares[-1] if shares else 1.0)
         shares.append(share)
     return tuple(shares)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -212,18 +212,24 @@ class Model(Rule):
             have = ", ".join(samples.seen.features) or "none"
             raise ValueError(f"rule: {self.name!r} needs samples of {self.card.problem!r}, these have features {have}")
         safe = self.consistent.combine(samples)
-        share = self.card.share(samples.n)
-        inside = self.inside(samples)
+        share, inside = self.card.share(samples.n), self.inside(samples)
         if share == 0.0 or not inside.any():
-            return Combination(safe.weights, safe.offset, torch.ones_like(inside))
+            return replace(safe, fallback=self._gave_way(torch.ones_like(inside), safe))
         learned = self.learned.combine(samples)
         part = torch.where(inside, share, 0.0).to(samples.value.dtype)
-        fallback = ~inside | (share < 0.5)
-        if learned.fallback is not None:
-            fallback = fallback | learned.fallback
-        return Combination(
-            _mix(part[:, None, None, None], learned.weights, safe.weights), _mix_offsets(part, learned, safe), fallback
+        return replace(
+            learned,
+            weights=_mix(part[:, None, None, None], learned.weights, safe.weights),
+            offset=_mix_offsets(part, learned, safe),
+            fallback=self._gave_way(~inside | (share < 0.5), safe, learned),
         )
+
+    def _gave_way(self, unknown: Tensor, *combinations: Combination) -> Tensor:
+        """Integrals to flag, (B,): those where the network should have answered, and what either rule doubts."""
+        doubts = [c.fallback for c in combinations if c.fallback is not None]
+        if self.card.config.doubtful_only:
+            unknown = torch.zeros_like(unknown)  # elsewhere the base is sure of itself, and flags the rest
+        return torch.stack([unknown, *doubts]).any(dim=0)
 
 
 def _mix(part: Tensor, learned: Tensor, safe: Tensor) -> Tensor:
