@@ -29,6 +29,7 @@ _PUBLIC = {
     "sd_gradient": "nqr_geom.api",
     "signed_distance": "nqr_geom.api",
     "solve_laplace": "nqr_geom.api",
+    "solve_p_laplace": "nqr_geom.api",
 }
 
 __all__ = [
@@ -50,6 +51,7 @@ __all__ = [
     "sd_gradient",
     "signed_distance",
     "solve_laplace",
+    "solve_p_laplace",
 ]
 
 if TYPE_CHECKING:
@@ -70,6 +72,7 @@ if TYPE_CHECKING:
         sd_gradient,
         signed_distance,
         solve_laplace,
+        solve_p_laplace,
     )
     from nqr_geom.curves.curve import Curve
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
+from nqr_geom.p_harmonic import solve_p_laplace
 from nqr_geom.pde import solve_laplace
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ __all__ = [
     "sd_gradient",
     "signed_distance",
     "solve_laplace",
+    "solve_p_laplace",
 ]
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ def examples_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_example_is_left_out() -> None:
     names = {path.stem for path in EXAMPLES.glob("*.py")} - {"__init__"}
-    assert names == {"gwn_of_svg", "sd_of_text", "toy_rules", "toy_frontier"}
+    assert names == {"gwn_of_svg", "sd_of_text", "toy_rules", "toy_frontier", "p_laplace_values", "walks_from_a_point"}
 
 
 def test_gwn_of_svg(tmp_path: Path) -> None:
@@ -41,3 +41,16 @@ def test_toy_rules(tmp_path: Path) -> None:
 def test_toy_frontier(tmp_path: Path) -> None:
     assert import_module("examples.toy_frontier").main(tmp_path, integrands=200, runs=2) > 4000.0
     assert (tmp_path / "toy_frontier.png").stat().st_size > 10_000
+
+
+def test_p_laplace_values(tmp_path: Path) -> None:
+    centre = import_module("examples.p_laplace_values").main(tmp_path, resolution=80)
+    assert centre[2.0] == pytest.approx(0.25, abs=1e-6)
+    assert centre[3.0] == pytest.approx(0.33582, abs=1e-4)
+    assert (tmp_path / "p_laplace_values.png").stat().st_size > 10_000
+
+
+def test_walks_from_a_point(tmp_path: Path) -> None:
+    gap = import_module("examples.walks_from_a_point").main(tmp_path, resolution=80)
+    assert gap == pytest.approx(0.0040, abs=2e-4)
+    assert (tmp_path / "walks_from_a_point.png").stat().st_size > 10_000
