@@ -13,6 +13,7 @@ from nqr_geom.fem import delaunay
 from nqr_geom.fem.linear import laplace
 from nqr_geom.fem.mesh import Mesh
 from nqr_geom.fem.outline import Outline
+from nqr_geom.fem.p_laplace import _remainder
 from nqr_geom.fem.space import Space
 
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -188,6 +189,18 @@ def test_tolerance_is_met_by_local_refinement() -> None:
     np.testing.assert_allclose(found(points), corner(points), atol=1e-4)
     areas = delaunay.areas(found.space.mesh.points, found.space.mesh.triangles)
     assert areas.max() > 1000.0 * areas.min()
+
+
+@pytest.mark.parametrize("a", [0.525, 0.6, 1.5, 5.0, 25.0])
+def test_the_rest_of_a_power_keeps_its_digits(a: float) -> None:
+    """(1 + x)^a - 1 - a x, of order x^2, against fifty digits."""
+    from decimal import Decimal, localcontext
+
+    x = np.array([-0.9, -0.3, -1e-4, -1e-9, 1e-12, 1e-7, 3e-5, 1e-3, 0.1, 7.0])
+    with localcontext() as context:
+        context.prec = 50
+        truth = [float((1 + Decimal(v)) ** Decimal(a) - 1 - Decimal(a) * Decimal(v)) for v in x]
+    np.testing.assert_allclose(_remainder(x, a), truth, rtol=1e-7, atol=1e-300)
 
 
 BAD = {
