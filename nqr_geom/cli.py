@@ -157,6 +157,46 @@ def _values(name: str, bounds: tuple[float, float, float, float]) -> Any:
 
 
 @app.command
+def laplace(
+    source: Source,
+    *,
+    values: Annotated[
+        str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
+    ] = "waves",
+    method: Annotated[str, Parameter(help="auto, wos, wos-lhs, boundary or fem.")] = "auto",
+    tol: Annotated[float, Parameter(help="Absolute error to aim for.")] = 1e-3,
+    samples: Annotated[int | None, Parameter(name=["--samples", "-n"], help="Walks per query instead of tol.")] = None,
+    text: Text = False,
+    resolution: Resolution = 256,
+    seed: Seed = 0,
+    out: Out = Path("laplace.png"),
+) -> None:
+    """Draw the harmonic function inside a closed outline."""
+    from nqr_geom.wos.domain import Domain
+
+    check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
+    curve = _read(source, text)
+    # Vertices of an array keep their order, so that values can be given for each.
+    polygon = np.load(source, allow_pickle=False) if source.lower().endswith(".npy") and not text else curve
+    domain, boundary = Domain.of(polygon), _values(values, curve.bounds)
+    if method in ("auto", "boundary"):  # solved once for all bands of the picture
+        from nqr_geom.wos.boundary import solve
+
+        solution = solve(domain, domain.boundary(boundary), 1e-6)
+
+        def answer(points: Any) -> Any:
+            return np.where(domain.inside(points), solution(points), np.nan)
+    else:
+
+        def answer(points: Any) -> Any:
+            return ng.solve_laplace(
+                polygon, boundary, points, method=method, tol=tol, n=samples, seed=seed, outside="nan"
+            )
+
+    _field(curve, answer, out, resolution, "harmonic function", signed=False)
+
+
+@app.command
 def p_laplace(
     source: Source,
     *,
@@ -221,7 +261,7 @@ def _show(measured: Frontier, title: str) -> None:
 
 @app.command
 def frontier(
-    problem: Annotated[str, Parameter(help="A random family: toy, gwn or sd.")] = "gwn",
+    problem: Annotated[str, Parameter(help="A random family: toy, gwn, sd or laplace.")] = "gwn",
     *,
     input: Annotated[str | None, Parameter(help="Measure on your own curve instead (SVG, path data, .npy).")] = None,
     text: Text = False,
@@ -236,12 +276,12 @@ def frontier(
     if out is not None:
         check.choice("out", out.suffix.lower(), [".png", ".json"])
     if input is not None:
-        if problem == "toy":
-            raise ValueError("problem: expected gwn or sd for a curve of your own, got 'toy'")
+        if problem not in ("gwn", "sd"):
+            raise ValueError(f"problem: expected gwn or sd for a curve of your own, got {problem!r}")
         made, usual = _on_grid(problem, _read(input, text), 24)
     else:
         family = registry.entry("problem", problem).load()
-        size = {} if problem == "toy" else {"resolution": 24}
+        size = {"gwn": {"resolution": 24}, "sd": {"resolution": 24}}.get(problem, {})
         made = family.family(check.integer("shapes", shapes, low=1), **size)  # type: ignore[attr-defined]
         usual = [8, 16, 32, 64]
     measured = _measure(made, methods, budgets or usual, runs)

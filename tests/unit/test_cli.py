@@ -62,6 +62,22 @@ def test_p_harmonic_values_of_a_square(tmp_path: Path) -> None:
     np.testing.assert_allclose(field[inside], grid[inside], atol=1e-9)
 
 
+@pytest.mark.parametrize("method", ["auto", "fem", "wos"])
+def test_harmonic_function_of_an_array_with_values(method: str, tmp_path: Path) -> None:
+    """Values 0, 1, 1, 0 at the corners of the unit square: u = x, NaN outside."""
+    square, values, out = tmp_path / "square.npy", tmp_path / "values.npy", tmp_path / "u.npy"
+    np.save(square, [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    np.save(values, [0.0, 1.0, 1.0, 0.0])
+    arguments = ["laplace", str(square), "--values", str(values), "--method", method, "-n", "400"]
+    assert cli.main([*arguments, "--resolution", "26", "--out", str(out)]) == 0
+    field = np.load(out)
+    inside = np.isfinite(field)
+    assert np.count_nonzero(inside) == 400
+    grid = np.broadcast_to((np.arange(26) - 12.5) * 1.3 / 26 + 0.5, (26, 26))
+    tolerance = 0.12 if method == "wos" else 1e-5  # five standard errors of 400 walks
+    np.testing.assert_allclose(field[inside], grid[inside], atol=tolerance)
+
+
 def test_p_harmonic_picture_of_an_svg_outline(tmp_path: Path) -> None:
     out = tmp_path / "u.png"
     assert cli.main(["p-laplace", SQUARE, "--p", "1.5", "--resolution", "40", "--out", str(out)]) == 0
@@ -100,6 +116,8 @@ BAD = {
     "unknown values": (["p-laplace", SQUARE, "--values", "z"], "values: expected one of x, y, saddle, waves"),
     "missing values": (["p-laplace", SQUARE, "--values", "no.npy"], "values: expected an existing file"),
     "open outline": (["p-laplace", "M0 0 L1 0 L1 1"], "polygon: expected a closed curve"),
+    "unknown solver": (["laplace", SQUARE, "--method", "magic"], "method: expected one of auto, wos"),
+    "laplace has no curve": (["frontier", "laplace", "--input", SQUARE], "problem: expected gwn or sd"),
     "unknown command": (["magic"], "magic"),
     "not a number": (["gwn", SQUARE, "-n", "many"], "many"),
 }
