@@ -11,7 +11,7 @@ STACK = 192  # nodes waiting at once, one a level: 32 bits of a Morton code and 
 _HALVINGS = 40
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def closest_rows(box, skip, arc, start, end, coefficients, curved, points, with_points, which, where, square):
     """Closest arc, its parameter u and the squared distance for every query; `with_points`: arcs of length zero too."""
     nodes, gaps = np.empty(STACK, np.int64), np.empty(STACK)
@@ -26,7 +26,7 @@ def closest_rows(box, skip, arc, start, end, coefficients, curved, points, with_
         which[i], where[i], square[i] = a, u, d
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_points, bound, nodes, gaps):
     """Branch and bound, nearer child first: (arc, u, squared distance), or arc -1 if nothing is within `bound`."""
     best, best_arc, best_u = bound, -1, 0.0
@@ -60,7 +60,7 @@ def closest_arc(box, skip, arc, start, end, coefficients, curved, px, py, with_p
     return best_arc, best_u, best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gap(box, node, px, py):
     """Squared distance to a box."""
     dx, dx_far = box[node, 0] - px, px - box[node, 2]
@@ -70,7 +70,7 @@ def _gap(box, node, px, py):
     return dx * dx + dy * dy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _on_segment(ax, ay, bx, by, px, py):
     """Nearest parameter on a segment; between the ends the squared distance comes from the cross product."""
     ex, ey, wx, wy = bx - ax, by - ay, px - ax, py - ay
@@ -83,7 +83,7 @@ def _on_segment(ax, ay, bx, by, px, py):
     return along / length, cross * (cross / length)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _on_curve(start, end, c, px, py, bound):
     """Nearest parameter on a curved arc.
 
@@ -157,7 +157,7 @@ def _on_curve(start, end, c, px, py, bound):
         low += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _rising_root(g0, g1, g2, g3, g4, g5, low, high):
     """The root of a quintic that is negative at `low` and positive at `high`: Newton, halving where it leaves."""
     u = 0.5 * (low + high)

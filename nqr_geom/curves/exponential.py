@@ -34,7 +34,7 @@ _nodes, _weights = np.polynomial.legendre.leggauss(8)
 _FEW_NODES, _FEW_WEIGHTS = 0.5 * (_nodes + 1.0), 0.5 * _weights
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def exponential_rows(
     box, skip, arc, start, end, coefficients, points, closest, where, alpha, length, with_gradient, log, gradient
 ):
@@ -84,7 +84,7 @@ def exponential_rows(
         gradient[i, 0], gradient[i, 1] = total[1] / total[0], total[2] / total[0]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _arc_integral(x0, y0, x1, y1, x2, y2, x3, y3, s0, s1, query, with_gradient, total):
     """Add the integral over y(s) = (x0, y0) + s (x1, y1) + s^2 (x2, y2) + s^3 (x3, y3), s in [s0, s1]."""
     qx, qy, nearest, alpha, floor = query[0], query[1], query[2], query[3], query[4]
@@ -146,7 +146,7 @@ def _arc_integral(x0, y0, x1, y1, x2, y2, x3, y3, s0, s1, query, with_gradient, 
         low += 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _range_of_excess(k0x, k0y, k1x, k1y, k2x, k2y, k3x, k3y, qx, qy):
     """Least and largest Bernstein coefficient of y . (y + 2 q), degree six."""
     mx, my = k0x + qx, k0y + qy
@@ -170,7 +170,7 @@ def _range_of_excess(k0x, k0y, k1x, k1y, k2x, k2y, k3x, k3y, qx, qy):
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _range_of_speed(k1x, k1y, k2x, k2y, k3x, k3y):
     """Least (clipped at zero) and largest Bernstein coefficient of |y'|^2, degree four."""
     v0 = k1x * k1x + k1y * k1y

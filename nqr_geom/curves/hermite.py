@@ -268,10 +268,10 @@ def angle(y: Tensor, x: Tensor) -> Tensor:
 def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
     """Integral of exp(-alpha (|x| - shift)) dl over the rebuilt curves, as exp(exponent) times a sum.
 
-    Segments are halved until a Gauss rule is sure of them: short against 1 / alpha, and no longer than their distance
-    (closer by, |x| has a kink) unless too short to matter. What lies 45 / alpha farther than the nearest
-    sample cannot be seen in float64 and is left out. The curve may come closer than every sample, so the largest
-    exponent is kept apart.
+    Segments are halved until a Gauss rule is sure of them: the distance varies by less than 1 / alpha, and they are no
+    longer than their distance (closer by, |x| has a kink) unless too short to matter. What lies 45 / alpha farther
+    than the nearest point so far cannot be seen in float64 and is left out. The curve may come closer than every
+    sample, so the largest exponent is kept apart.
 
     Parameters
     ----------
@@ -287,13 +287,14 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tens
     """
     control, row = segments.control, segments.row
     exponent, total = torch.full_like(shift, -torch.inf), torch.zeros_like(shift)
+    closest = shift  # of the points that have been seen, the new ends of segments included
     for level in range(_LEVELS):
-        legs = torch.linalg.vector_norm(control.diff(dim=1), dim=-1).sum(dim=-1)
-        ends = torch.linalg.vector_norm(control[:, [0, 3]], dim=-1)
-        nearest = (0.5 * (ends.sum(dim=-1) - legs)).clamp_min(0.0)  # no point of the curve is closer
+        legs, nearest, farthest = _ranges(control)
         sharp = alpha[row]
-        seen = sharp * (nearest - shift[row]) < 45.0
-        sure = (sharp * legs <= 4.0) & ((legs <= nearest) | (sharp * legs <= 1e-5))
+        ends = torch.linalg.vector_norm(control[:, [0, 3]], dim=-1).amin(dim=1)
+        closest = closest.scatter_reduce(0, row, ends, "amin")
+        seen = sharp * (nearest - closest[row]) < 45.0
+        sure = (sharp * (farthest - nearest) <= 1.0) & ((legs <= nearest) | (sharp * legs <= 1e-5))
         done = seen & (sure | (level == _LEVELS - 1))
         powers, lengths = _gauss(control[done], sharp[done], shift[row[done]])
         largest = exponent.scatter_reduce(0, row[done], powers.amax(dim=1), "amax")
@@ -305,6 +306,18 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tens
             break
         control, row = halves(control[rest]), row[rest].repeat_interleave(2)
     return exponent, total
+
+
+def _ranges(control: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """A bound of each segment's length, and bounds of its smallest and largest distance from the origin, (M,) each."""
+    legs = torch.linalg.vector_norm(control.diff(dim=1), dim=-1).sum(dim=-1)
+    start, chord = control[:, 0], control[:, 3] - control[:, 0]
+    along = -(start * chord).sum(dim=-1) / chord.square().sum(dim=-1).clamp_min(_TINY)
+    foot = start + along.clamp(0.0, 1.0)[:, None] * chord
+    thirds = torch.linspace(0.0, 1.0, 4, dtype=control.dtype, device=control.device)[:, None]
+    off = torch.linalg.vector_norm(control - start[:, None] - thirds * chord[:, None], dim=-1).amax(dim=-1)
+    nearest = (torch.linalg.vector_norm(foot, dim=-1) - off).clamp_min(0.0)
+    return legs, nearest, torch.linalg.vector_norm(control[:, [0, 3]], dim=-1).amax(dim=-1) + off
 
 
 def _gauss(control: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:

@@ -28,6 +28,7 @@ from nqr_geom.streams import Stream
 
 __all__ = ["CurveProblem", "GwnProblem", "PackedShapes", "SdProblem", "Shapes"]
 
+_LARGEST = 1e120
 _TINY = 1e-280  # squared distances are kept above it, so that a query on the curve stays finite
 
 
@@ -112,6 +113,16 @@ class BlackBoxShape:
         return position.to(s.device), tangent.to(s.device), piece
 
 
+def _check_size(name: str, coordinates: NDArray[np.float64]) -> None:
+    """Refuse coordinates whose squares, or whose differences' squares, float64 cannot hold."""
+    largest = float(np.abs(coordinates).max(initial=0.0))
+    if largest > _LARGEST or 0.0 < largest < 1.0 / _LARGEST:
+        raise ValueError(
+            f"{name}: expected coordinates between {1.0 / _LARGEST:.0e} and {_LARGEST:.0e} in size for a sampled "
+            f"method, got {largest:.3g}; scale the shape"
+        )
+
+
 def locate(s: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
     """Piece and local parameter in [0, 1] of s, where `count` equal pieces share [0, 1] (see `Curve.locate`)."""
     u = s * count
@@ -155,6 +166,10 @@ class CurveProblem(Problem):
         if not curves or not all(isinstance(c, Curve) for c in curves):
             raise TypeError(f"curve: expected a Curve or a sequence of them, got {curve!r}")
         queries = torch.from_numpy(check.array("points", points, ("m", 2)).copy())
+        for known in curves:
+            if not isinstance(known, BlackBoxCurve) and known.n_pieces:
+                _check_size("curve", known.control)
+        _check_size("points", queries.numpy())
         shapes: Shapes
         if isinstance(curves[0], BlackBoxCurve):
             if len(curves) > 1:

@@ -91,7 +91,7 @@ def curve_tokens(samples: Samples) -> Tensor:
     to_start = r - local[..., None] * tangent
     to_end = r + (1.0 - local)[..., None] * tangent
     same = piece.diff(dim=1) == 0
-    none = torch.zeros_like(same[:, :1])
+    none = torch.zeros_like(piece[:, :1], dtype=torch.bool)
     before, after = torch.cat([none, same], dim=1), torch.cat([same, none], dim=1)
     gap = torch.nn.functional.pad(s.diff(dim=1) * samples.n, (1, 1)).float()
     density = (samples.n / count).float()  # samples on a piece, on average

@@ -118,6 +118,18 @@ def test_log_integral_against_adaptive_quadrature() -> None:
     assert (total * exponent.exp()).item() == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
+def test_sharp_distances_of_large_shapes_stay_cheap(size: float) -> None:
+    """alpha times the size is what counts: 3.5e9 of them must not mean as many panels."""
+    curve = ng.Curve.bezier(
+        size * np.array([[[-1.0, 0.0], [0.0, 1.2], [1.0, 0.0]], [[0.2, -0.4], [0.9, -1.0], [1.0, 0.9]]])
+    )
+    points = size * grid(6)
+    estimate = ng.sd(curve, points, alpha=35.0, method="structured", n=24, full_output=True)
+    np.testing.assert_allclose(estimate.value[:, 0], ng.sd(curve, points), atol=1e-7, rtol=1e-12)
+    assert estimate.seconds < 20.0
+
+
 def test_errors_name_what_is_missing() -> None:
     toy = ng.problems.toy(2)
     with pytest.raises(ValueError, match=r"sampler: 'curve-refine' needs a problem on curves"):
@@ -126,6 +138,15 @@ def test_errors_name_what_is_missing() -> None:
         ng.integrate(toy, rule="gwn-hermite")
     with pytest.raises(ValueError, match=r"rule: 'sd-hermite' needs the feature 'alpha'"):
         ng.integrate(GwnProblem.family(1, resolution=4), rule="sd-hermite")
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e200])
+def test_sizes_that_squares_cannot_hold_are_refused(size: float) -> None:
+    square = ng.Curve.polyline(size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), closed=True)
+    with pytest.raises(ValueError, match="curve: expected coordinates between"):
+        ng.gwn(square, [[0.5, 0.5]], method="mc")
+    with pytest.raises(ValueError, match="points: expected coordinates between"):
+        ng.sd(ng.Curve.polyline([[0, 0], [1, 0]]), [[size, size]], method="mc")
 
 
 def test_mean_of_sd_values_never_overflows() -> None:
