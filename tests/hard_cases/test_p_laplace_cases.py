@@ -48,6 +48,12 @@ def test_constant_data_are_exact(p, value):
     assert (p_laplace(SQUARE, np.full(4, value), p, n=200)(INNER) == value).all()
 
 
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("value", [0.1, -1e200, 1e-300])
+def test_constant_data_are_exact_for_laplace(value, order):
+    assert (laplace(L_SHAPE, lambda x: np.full(len(x), value), n=200, order=order)(INNER) == value).all()
+
+
 @pytest.mark.parametrize("p", P)
 def test_polar_angle_is_p_harmonic_for_every_p(p):
     found = p_laplace(SQUARE, angle, p, n=2000, order=2)
