@@ -126,7 +126,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a minute, wide intervals")
     quick = parser.parse_args().quick
-    shapes, resolution, runs = (8, 32, 3) if quick else (24, 128, 4)
+    shapes, resolution, runs = (8, 32, 3) if quick else (16, 128, 2)
     rows = family(GwnProblem, shapes, resolution, runs)
     rows += family(SdProblem, shapes, resolution // 2, runs)
     rows.append(black_box_quadratics(shapes, resolution // 2))

@@ -33,7 +33,7 @@ _STEP = 2.0**-52
 
 @_inline
 def _locate(s, k):
-    """Piece and local parameter, as `problems.locate`."""
+    """Piece and local parameter, as `shapes.locate`."""
     u = s * k
     joint = np.rint(u)
     if abs(u - joint) <= _STEP * joint:

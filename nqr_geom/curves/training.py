@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from nqr_geom.curves.families import control_points
-from nqr_geom.curves.problems import GwnProblem, PackedShapes
+from nqr_geom.curves.problems import GwnProblem
+from nqr_geom.curves.shapes import PackedShapes
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.streams import Stream
 
