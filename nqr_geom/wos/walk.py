@@ -22,6 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
+from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 from nqr_geom.wos.nearest import BINS, Nearest, nearest
 
@@ -32,38 +33,16 @@ Floats = NDArray[np.float64]
 OUTCOMES = ("boundary", "capped", "escaped")
 _SOURCES = 16  # steps between two evaluations of a source
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_M1 = np.uint64(0xBF58476D1CE4E5B9)
-_M2 = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S12, _ONE = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(12), np.uint64(1)
 _TURN = 2.0 * math.pi
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _mix(z):  # type: ignore[no-untyped-def]
-    z = (z ^ (z >> _S30)) * _M1
-    z = (z ^ (z >> _S27)) * _M2
-    return z ^ (z >> _S31)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _after(state, counter):  # type: ignore[no-untyped-def]
-    """The hash of `nqr_geom.streams` one counter further."""
-    return _mix((np.uint64(counter) + _ONE) * _GOLDEN + state)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _unit(state):  # type: ignore[no-untyped-def]
-    return (float(state >> _S12) + 0.5) * 2.0**-52
 
 
 @njit(cache=True, nogil=True)
 def uniforms(key, row, sample, count):  # type: ignore[no-untyped-def]
     """The first `count` numbers of a walk: bit for bit those of `Stream.uniform(row, sample, dimension)`."""
-    state = _after(_after(key, row), sample)
+    state = mixed(mixed(key, row), sample)
     result = np.empty(count)
     for j in range(count):
-        result[j] = _unit(_after(state, j))
+        result[j] = unit(mixed(state, j))
     return result
 
 
@@ -148,7 +127,7 @@ def _compiled(screened: bool, sourced: bool) -> Any:
         for k in range(low, high):
             i = k // n
             s = of[i]
-            random = _after(_after(key, rows[i]), walks[k % n])
+            random = mixed(mixed(key, rows[i]), walks[k % n])
             x, y, done = start[i, 0], start[i, 1], 0
             if sourced:
                 done = steps[k]
@@ -173,15 +152,15 @@ def _compiled(screened: bool, sourced: bool) -> Any:
                     break
                 if sourced:
                     # Under Green's function, -4 s ln(s) ds, the radius is the root of a product of two uniforms.
-                    extra = _after(random, done)
-                    part = math.sqrt(_unit(_after(extra, 0)) * _unit(_after(extra, 1)))
-                    turn = _TURN * _unit(_after(extra, 2))
+                    extra = mixed(random, done)
+                    part = math.sqrt(unit(mixed(extra, 0)) * unit(mixed(extra, 1)))
+                    turn = _TURN * unit(mixed(extra, 2))
                     at = seen[k, done % _SOURCES]
                     at[0], at[1] = x + part * radius * math.cos(turn), y + part * radius * math.sin(turn)
                     at[2], at[3], at[4] = part * radius, radius, throughput
                 if screened:
                     throughput *= math.exp(-root * radius) / bessel_i0(root * radius)
-                angle = _TURN * _unit(_after(random, done))
+                angle = _TURN * unit(mixed(random, done))
                 x, y = x + radius * math.cos(angle), y + radius * math.sin(angle)
                 done += 1
             outcome[k], steps[k] = result, done
@@ -233,7 +212,7 @@ def walk(
     state = np.repeat(start, len(walks), axis=0) if sourced else np.zeros((0, 2))
     seen = np.zeros((total if sourced else 0, _SOURCES, 5))
     gained = np.zeros(total if sourced else 0)
-    kernel, key = _compiled(screened, sourced), np.uint64(stream.key & (2**64 - 1))
+    kernel, key = _compiled(screened, sourced), unsigned(stream.key)
     inputs = (*geometry, of, start, rows, walks, key, physics.screening, epsilon, max_steps)
     before = np.zeros(total, dtype=np.int64)
     while True:
