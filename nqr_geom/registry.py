@@ -68,7 +68,9 @@ _RECIPES = "nqr_geom.recipes:"
 # Trained models: recipe, problem, summary. Each is also the rule "inet-" + its name.
 _MODELS = (
     ("toy-uniform", "toy", "network that corrects plain weights on piecewise smooth functions"),
+    ("toy-structured", "toy", "network that corrects toy-hermite"),
     ("gwn-uniform", "gwn", "network that corrects plain weights on curves"),
+    ("gwn-structured", "gwn", "network that guesses what gwn-hermite has not seen"),
 )
 
 _TABLE: dict[str, tuple[Entry, ...]] = {

@@ -35,7 +35,7 @@ def squared_errors(rule: Rule, batch: Batch, samples: Samples) -> Tensor:
 
 
 def test_there_are_models() -> None:
-    assert {"toy-uniform", "gwn-uniform"} <= set(MODELS)
+    assert set(MODELS) == set(RECIPES)
     assert {f"inet-{name}" for name in MODELS} <= {entry.name for entry in registry.entries("rule")}
 
 
