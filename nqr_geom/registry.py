@@ -217,6 +217,8 @@ ALIASES: dict[str, str] = {
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",
+    "toy:inet": "stratified+inet-toy-structured",
+    "gwn:inet": "stratified+inet-gwn-structured",
     "mc": "random+mc",
     "stratified": "stratified+mc",
     "trapezoid": "stratified+trapezoid",
