@@ -52,7 +52,7 @@ def _need_torch(purpose: str) -> None:
 
 def _answer(
     exact: Callable[[], Floats],
-    problem: Callable[[], Problem],
+    problem: Callable[[Curve | list[Curve]], Problem],
     name: str,
     curve: Curve,
     method: str,
@@ -72,15 +72,23 @@ def _answer(
 
         return exactly(exact, name)
     _need_torch(f"methods such as {method!r}")
+    sampler, rule = registry.method(method, name)
+    most = registry.entry("rule", rule).pieces
+    # Rules that know few pieces see a long curve in parts with n samples each; their integrals add up (Fig. 25).
+    parts = curve.split_pieces(most) if most and curve.n_pieces > most and not black_box else [curve]
+    made = problem(parts if len(parts) > 1 else curve)
     if tol is None:
-        estimate = integrate(problem(), n, method=method, seed=seed)
+        estimate = integrate(made, n, sampler=sampler, rule=rule, seed=seed)
     else:
         from nqr_geom.integrator.plan import until
 
-        sampler, rule = (
-            registry.make(k, v) for k, v in zip(("sampler", "rule"), registry.method(method, name), strict=True)
-        )
-        estimate = until(problem(), sampler, rule, check.number("tol", tol, low=0.0, open_low=True), n, seed=seed)
+        pair = registry.make("sampler", sampler), registry.make("rule", rule)
+        wanted = check.number("tol", tol, low=0.0, open_low=True) / len(parts)
+        estimate = until(made, *pair, wanted, n, seed=seed)
+    if len(parts) > 1:
+        from nqr_geom.integrator.estimate import folded
+
+        estimate = folded(estimate, len(parts))
     return estimate if full_output else estimate.value[:, 0]
 
 
@@ -107,10 +115,10 @@ def gwn(
         Query points, finite.
     method : str
         "exact" (default), "auto" (exact where the pieces are known, else "structured"), "mc", "stratified",
-        "trapezoid", "structured", or any "sampler+rule" of `samplers()` and `rules()`. All but "exact" see the curve
-        through point queries only and need the extra "learn".
+        "trapezoid", "structured", "inet" (a trained network), or any "sampler+rule" of `samplers()` and `rules()`.
+        All but "exact" see the curve through point queries only and need the extra "learn".
     n : int
-        Samples per query of a sampled method.
+        Samples per query of a sampled method; for "inet" per query and six pieces.
     tol : float, optional
         Absolute error to reach: a sampled method doubles n until repetitions agree that well.
     seed : int
@@ -146,7 +154,7 @@ def gwn(
 
         return winding.gwn(curve, points)
 
-    def problem() -> Problem:
+    def problem(curve: Curve | list[Curve]) -> Problem:
         from nqr_geom import problems
 
         return problems.gwn(curve, points)
@@ -193,7 +201,7 @@ def sd(
     """
     _curve(curve)
 
-    def problem() -> Problem:
+    def problem(curve: Curve | list[Curve]) -> Problem:
         from nqr_geom import problems
 
         return problems.sd(curve, points, alpha)

@@ -39,6 +39,8 @@ class Entry:
         brings it, "curves" for either problem on curves, or "".
     adaptive : bool
         Whether a sampler looks at values before it places the next point.
+    pieces : int
+        Pieces of a curve that a rule can take at most; 0 is any number. The public functions cut longer curves.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Entry:
     dims: str = "any"
     needs: str = ""
     adaptive: bool = False
+    pieces: int = 0
 
     def load(self) -> Callable[..., Any]:
         """The class or factory behind the entry."""
@@ -196,7 +199,16 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="sd",
         ),
         *(
-            Entry(f"inet-{name}", _RECIPES + "model", summary, {"name": name}, linear=False, dims="1", needs=problem)
+            Entry(
+                f"inet-{name}",
+                _RECIPES + "model",
+                summary,
+                {"name": name},
+                linear=False,
+                dims="1",
+                needs=problem,
+                pieces=6 if problem == "gwn" else 0,
+            )
             for name, problem, summary in _MODELS
         ),
     ),

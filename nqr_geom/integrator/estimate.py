@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # an estimate is plain data, and exact answers come as one wi
     from nqr_geom.integrator.rules import Rule
     from nqr_geom.integrator.samplers import Sampler
 
-__all__ = ["Estimate", "Statistics", "exactly", "run"]
+__all__ = ["Estimate", "Statistics", "exactly", "folded", "run"]
 
 TILE_SAMPLES = 2**17  # integrand values held at a time; a fixed number, so that tiling depends on n alone
 
@@ -133,6 +133,33 @@ class Estimate:
             plan={**self.plan, "seeds": self.plan["seeds"] + other.plan["seeds"]},
             statistics=statistics,
         )
+
+
+def folded(estimate: Estimate, parts: int) -> Estimate:
+    """Add up integrals that were estimated in parts: the batch holds all first parts, then all second ones, ...
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Of parts * B integrals without a link.
+    parts : int
+        How many parts each of the B integrals has.
+    """
+
+    def total(values: NDArray[Any]) -> NDArray[Any]:
+        return values.reshape(parts, -1, *values.shape[1:]).sum(axis=0)
+
+    old = estimate.statistics
+    statistics = Statistics(total(old.mean), total(old.m2), old.count, old.kind)
+    return replace(
+        estimate,
+        value=statistics.mean,
+        stderr=statistics.stderr,
+        inner=total(estimate.inner),
+        fallback=total(estimate.fallback).astype(bool),
+        plan={**estimate.plan, "parts": parts},
+        statistics=statistics,
+    )
 
 
 def exactly(answer: Callable[[], NDArray[np.float64]], problem: str) -> Estimate:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import nqr_geom as ng
+from nqr_geom.curves import families
 from nqr_geom.curves.curve import Curve
 
 POINTS = np.array([[0.25, 0.5], [1.5, 0.5], [0.4, -0.3]])
@@ -58,6 +59,21 @@ def test_tolerance_is_met_and_costs_grow_only_where_needed(square: Curve) -> Non
 def test_unreachable_tolerance_says_so(square: Curve) -> None:
     estimate = ng.gwn(square, [[0.5, 1e-7]], method="mc", tol=1e-12, n=4096, full_output=True)
     assert not estimate.plan["met"]
+
+
+@pytest.mark.parametrize("method", ["inet", "stratified+inet-gwn-uniform"])
+def test_networks_see_long_curves_in_parts(method: str) -> None:
+    curve = families.knots()
+    points = np.random.default_rng(0).uniform(-0.8, 0.8, (300, 2))
+    points = points[ng.distance(curve, points) > 1e-2]
+    estimate = ng.gwn(curve, points, method=method, n=32, full_output=True)
+    truth = ng.gwn(curve, points)
+    error = np.mean((estimate.value[:, 0] - truth) ** 2)
+    plain = np.mean((ng.gwn(curve, points, method="mc", n=32 * 5) - truth) ** 2)
+    assert estimate.plan["parts"] == 5
+    assert estimate.value.shape == (len(points), 1)
+    assert estimate.counts["samples"] == 32 * 5 * len(points)
+    assert error < plain / 10.0
 
 
 def test_several_shapes_in_one_problem(square: Curve, bowtie: Curve) -> None:
