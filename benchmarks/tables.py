@@ -93,11 +93,87 @@ def methods(rows: list[Row]) -> str:
     )
 
 
+def times(rows: list[Row]) -> str:
+    """The largest picture at 32 samples."""
+    size = max(row["resolution"] for row in rows)
+    chosen = [row for row in rows if row["resolution"] == size and row["n"] == 32]
+    return markdown(
+        [f"method, 32 samples, {size} x {size}", "us a query", "ns a sample", "times Monte Carlo's time"],
+        [[r["method"], short(r["us_per_query"]), short(r["ns_per_sample"]), short(r["times_mc"])] for r in chosen],
+    )
+
+
+def learned(rows: list[Row]) -> str:
+    """Every rule on the same samples; a network counts where it beats its own base."""
+    return markdown(
+        [
+            "samples + rule, 32 samples",
+            "mean squared error",
+            "x Monte Carlo",
+            "95%",
+            "x its base, 95%",
+            "us an integral",
+        ],
+        [
+            [
+                f"{row['problem']}: {row['design']} + {row['rule']}",
+                short(row["mse"]),
+                short(row["ratio"]),
+                interval(row),
+                " .. ".join(map(short, row["gain_interval"])) if row.get("gain_interval") else "",
+                short(row["microseconds"]) if "microseconds" in row else "",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def boundary(rows: list[Row]) -> str:
+    return markdown(
+        ["boundary solver", "seconds", "largest error", "residual"],
+        [
+            [r["case"], short(r["seconds"]), "" if r["error"] is None else f"{r['error']:.0e}", f"{r['residual']:.0e}"]
+            for r in rows
+        ],
+    )
+
+
+def orders(rows: list[Row]) -> str:
+    return markdown(
+        ["finite elements", "p", "order in L2, last step", "relative error"],
+        [
+            [
+                f"P{row['order_of_elements']}, {row['solution']}",
+                f"{row['p']:g}",
+                f"{row['observed_orders'][-1]:.2f}",
+                f"{row['relative_l2_errors'][-1]:.0e}",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def walks(rows: list[Row]) -> str:
+    return markdown(
+        ["32 walks of 12 steps", "mean squared error", "x Monte Carlo", "95%", "paper"],
+        [[r["method"], short(r["mse"]), short(r["ratio"]), interval(r), short(r["paper_ratio"])] for r in rows],
+    )
+
+
 SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("exact_gwn", "Exact winding numbers against libigl's, same run, all cores", exact),
     ("exact_distance", "Closest points against libigl's", exact),
     ("gwn_methods", "Curves from point queries only: shapes of Fig. 38, Lissajous and Fourier curves", methods),
+    ("gwn_time", "What a winding number costs in time", times),
     ("toy_methods", "The toy family of Fig. 37", methods),
+    (
+        "learned",
+        "Networks beside their base rules, on held-out integrals (Fig. 25: shapes outside the family)",
+        learned,
+    ),
+    ("boundary_solver", "Laplace's equation by the boundary solver", boundary),
+    ("wos_baselines", "Walks on spheres on the polygons of Fig. 41", walks),
+    ("fem_orders", "p-Laplacian by finite elements", orders),
     ("toy_calibration", "How close the toy family is to the paper's", calibration),
 ]
 
