@@ -1,8 +1,8 @@
-"""Write the README's figures from the JSON that the other benchmarks left in results/.
+"""Write the figures of README.md and docs/figures.md from the JSON that the other benchmarks left in results/.
 
     python benchmarks/tables.py [--check]
 
-With --check nothing is written, and the exit code says whether the README is up to date.
+With --check nothing is written, and the exit code says whether both are up to date.
 """
 
 from __future__ import annotations
@@ -178,26 +178,40 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
 ]
 
 
-def figures() -> str:
-    where = "Measured by the scripts in `benchmarks/`, on the machine that each JSON in `benchmarks/results/` names."
-    parts = [f"\n## Figures\n\n{where}\n"]
+IN_README = ("exact_gwn", "gwn_time")
+
+
+def figures(names: tuple[str, ...]) -> str:
+    """The tables of the named benchmarks that have been run."""
+    parts = []
     for name, title, table in SECTIONS:
         path = RESULTS / f"{name}.json"
-        if path.exists():
+        if name in names and path.exists():
             report = json.loads(path.read_text())
             parts.append(f"\n**{title}** (`python benchmarks/{name}.py`)\n\n{table(report['rows'])}")
-    return "".join(parts) + "\n"
+    return "".join(parts)
+
+
+def pages() -> dict[Path, str]:
+    """What README.md and docs/figures.md should say."""
+    readme = ROOT / "README.md"
+    before, _, rest = readme.read_text().partition(START)
+    _, _, after = rest.partition(END)
+    where = "Measured by the scripts in `benchmarks/`, on the machine that each JSON in `benchmarks/results/` names"
+    short_list = f"\n## Figures\n\n{where}; [all of them](docs/figures.md).\n{figures(IN_README)}\n"
+    whole = f"# Figures\n\n{where}. This page is written by `benchmarks/tables.py`.\n"
+    every = tuple(name for name, _, _ in SECTIONS)
+    return {readme: before + START + short_list + END + after, ROOT / "docs" / "figures.md": whole + figures(every)}
 
 
 def main() -> int:
-    readme = ROOT / "README.md"
-    text = readme.read_text()
-    before, _, rest = text.partition(START)
-    _, _, after = rest.partition(END)
-    fresh = before + START + figures() + END + after
+    stale = {path: text for path, text in pages().items() if not path.exists() or path.read_text() != text}
     if "--check" in sys.argv:
-        return 0 if fresh == text else 1
-    readme.write_text(fresh)
+        for path in stale:
+            print(f"{path.name} is not what the benchmarks' JSON says: run python benchmarks/tables.py")
+        return 1 if stale else 0
+    for path, text in stale.items():
+        path.write_text(text)
     return 0
 
 
