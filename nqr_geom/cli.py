@@ -62,20 +62,25 @@ def _progress() -> Progress:
 
 def _field(
     curve: Curve,
-    answer: Callable[[Any], Any],
+    answer: Callable[[Any, int], Any],
     out: Path,
     resolution: int,
     name: str,
     signed: bool,
+    seed: int = 0,
 ) -> None:
-    """Evaluate a field on a grid around the curve, band by band under a progress bar, and save it."""
+    """Evaluate a field on a grid around the curve, band by band under a progress bar, and save it.
+
+    `answer` takes points and a seed; every band has its own, or the noise of sampled methods would repeat.
+    """
     from nqr_geom.pictures import Window, save_field
 
     check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
     window = Window.around(curve.bounds, resolution)
     bands = np.array_split(window.points, max(1, len(window.points) // 16384))
     with _progress() as progress:
-        values = [answer(band) for band in progress.track(bands, description=name)]
+        numbered = progress.track(list(enumerate(bands)), description=name)
+        values = [answer(band, seed + (k << 32)) for k, band in numbered]
     path = save_field(out, curve, window, np.concatenate(values), name=name, signed=signed)
     out_console.print(f"{curve!r}: wrote {path}", highlight=False)
 
@@ -94,10 +99,10 @@ def gwn(
     """Draw the generalised winding number of a curve."""
     curve = _read(source, text)
 
-    def answer(points: Any) -> Any:
+    def answer(points: Any, seed: int) -> Any:
         return ng.gwn(curve, points, method=method, n=samples, seed=seed)
 
-    _field(curve, answer, out, resolution, "winding number", signed=True)
+    _field(curve, answer, out, resolution, "winding number", signed=True, seed=seed)
 
 
 @app.command
@@ -117,10 +122,10 @@ def sd(
     xmin, ymin, xmax, ymax = curve.bounds
     sharpness = alpha / (0.5 * max(xmax - xmin, ymax - ymin) or 1.0)
 
-    def answer(points: Any) -> Any:
+    def answer(points: Any, seed: int) -> Any:
         return ng.sd(curve, points, alpha=sharpness, method=method, n=samples, seed=seed)
 
-    _field(curve, answer, out, resolution, "smoothed distance", signed=False)
+    _field(curve, answer, out, resolution, "smoothed distance", signed=False, seed=seed)
 
 
 @app.command
@@ -135,7 +140,7 @@ def distance(
     """Draw the distance to a curve."""
     curve = _read(source, text)
     answer = ng.signed_distance if signed else ng.distance
-    _field(curve, lambda points: answer(curve, points), out, resolution, "distance", signed=signed)
+    _field(curve, lambda points, _: answer(curve, points), out, resolution, "distance", signed=signed)
 
 
 def _values(name: str, bounds: tuple[float, float, float, float]) -> Any:
@@ -184,16 +189,16 @@ def laplace(
 
         solution = solve(domain, domain.boundary(boundary), 1e-6)
 
-        def answer(points: Any) -> Any:
+        def answer(points: Any, seed: int) -> Any:
             return np.where(domain.inside(points), solution(points), np.nan)
     else:
 
-        def answer(points: Any) -> Any:
+        def answer(points: Any, seed: int) -> Any:
             return ng.solve_laplace(
                 polygon, boundary, points, method=method, tol=tol, n=samples, seed=seed, outside="nan"
             )
 
-    _field(curve, answer, out, resolution, "harmonic function", signed=False)
+    _field(curve, answer, out, resolution, "harmonic function", signed=False, seed=seed)
 
 
 @app.command
@@ -218,7 +223,7 @@ def p_laplace(
     polygon = np.load(source, allow_pickle=False) if source.lower().endswith(".npy") and not text else curve
     solution = p_harmonic(polygon, _values(values, curve.bounds), p, tol=tol)
     name = f"p-harmonic, p = {p:g}"
-    _field(curve, lambda points: solution(points, outside="nan"), out, resolution, name, signed=False)
+    _field(curve, lambda points, _: solution(points, outside="nan"), out, resolution, name, signed=False)
 
 
 def _on_grid(problem: str, curve: Curve, resolution: int) -> tuple[Any, list[int]]:

@@ -34,6 +34,16 @@ def test_sampled_methods_and_polyline_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(first, np.load(out))
 
 
+def test_noise_does_not_repeat_from_band_to_band(tmp_path: Path) -> None:
+    out = tmp_path / "noise.npy"
+    assert cli.main(["gwn", SQUARE, "--method", "mc", "-n", "1", "--resolution", "182", "--out", str(out)]) == 0
+    field = np.load(out)
+    assert field.size > 2 * 16384
+    half = field.size // 2  # two bands of equal length; the drawing is symmetric about their border
+    above, below = field.ravel()[:half], field.ravel()[half:]
+    assert abs(np.corrcoef(above, below)[0, 1]) < 0.05
+
+
 @pytest.mark.parametrize("ending", ["png", "vti", "vtp"])
 def test_pictures_and_grids(tmp_path: Path, ending: str) -> None:
     out = tmp_path / f"distance.{ending}"
