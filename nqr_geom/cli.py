@@ -29,8 +29,8 @@ app = App(
     help="Winding numbers and distances of curves you bring, and what accuracy costs in time.",
     result_action="return_value",
 )
-out_console = Console()
-error_console = Console(stderr=True)
+out_console = Console(markup=False)
+error_console = Console(stderr=True, markup=False)
 
 Source = Annotated[
     str, Parameter(help="An SVG file, SVG path data, or a .npy file with the points of a polyline (n, 2).")

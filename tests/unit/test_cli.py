@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +152,12 @@ def test_bad_input_exits_with_2_and_one_line(
     if text.startswith("error: "):
         assert text.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_extra_is_named_in_full(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert cli.main(["gwn", SQUARE, "--method", "mc"]) == 2
+    assert 'pip install "nqr-geom[learn]"' in capsys.readouterr().err
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
