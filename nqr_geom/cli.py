@@ -55,6 +55,18 @@ def _read(source: str, text: bool) -> Curve:
     return ng.Curve.from_svg(source, flip_y=True)
 
 
+def _read_outline(source: str, text: bool, out: Path) -> tuple[Curve, Any]:
+    """A closed outline and the polygon in it, once `out` is known to be writable: solving first takes long.
+
+    Vertices of an array keep their order, so that values can be given for each.
+    """
+    from nqr_geom.pictures import ENDINGS
+
+    check.choice("out", out.suffix.lower(), ENDINGS)
+    curve = _read(source, text)
+    return curve, np.load(source, allow_pickle=False) if source.lower().endswith(".npy") and not text else curve
+
+
 def _progress() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     return Progress(*columns, console=error_console, transient=True)
@@ -73,9 +85,9 @@ def _field(
 
     `answer` takes points and a seed; every band has its own, or the noise of sampled methods would repeat.
     """
-    from nqr_geom.pictures import Window, save_field
+    from nqr_geom.pictures import ENDINGS, Window, save_field
 
-    check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
+    check.choice("out", out.suffix.lower(), ENDINGS)
     window = Window.around(curve.bounds, resolution)
     bands = np.array_split(window.points, max(1, len(window.points) // 16384))
     with _progress() as progress:
@@ -169,8 +181,12 @@ def laplace(
         str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
     ] = "waves",
     method: Annotated[str, Parameter(help="auto, wos, wos-lhs, boundary or fem.")] = "auto",
-    tol: Annotated[float, Parameter(help="Absolute error to aim for.")] = 1e-3,
-    samples: Annotated[int | None, Parameter(name=["--samples", "-n"], help="Walks per query instead of tol.")] = None,
+    tol: Annotated[
+        float, Parameter(help="Absolute error to aim for; the boundary solver goes to 1e-6 of the spread.")
+    ] = 1e-3,
+    samples: Annotated[
+        int | None, Parameter(name=["--samples", "-n"], help="Walks per query instead of tol (wos, wos-lhs).")
+    ] = None,
     text: Text = False,
     resolution: Resolution = 256,
     seed: Seed = 0,
@@ -179,10 +195,7 @@ def laplace(
     """Draw the harmonic function inside a closed outline."""
     from nqr_geom.wos.domain import Domain
 
-    check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
-    curve = _read(source, text)
-    # Vertices of an array keep their order, so that values can be given for each.
-    polygon = np.load(source, allow_pickle=False) if source.lower().endswith(".npy") and not text else curve
+    curve, polygon = _read_outline(source, text, out)
     domain, boundary = Domain.of(polygon), _values(values, curve.bounds)
     if method in ("auto", "boundary"):  # solved once for all bands of the picture
         from nqr_geom.wos.boundary import solve
@@ -217,10 +230,7 @@ def p_laplace(
     """Draw the p-harmonic function inside a closed outline."""
     from nqr_geom.p_harmonic import p_harmonic
 
-    check.choice("out", out.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
-    curve = _read(source, text)
-    # Vertices of an array keep their order, so that values can be given for each.
-    polygon = np.load(source, allow_pickle=False) if source.lower().endswith(".npy") and not text else curve
+    curve, polygon = _read_outline(source, text, out)
     solution = p_harmonic(polygon, _values(values, curve.bounds), p, tol=tol)
     name = f"p-harmonic, p = {p:g}"
     _field(curve, lambda points, _: solution(points, outside="nan"), out, resolution, name, signed=False)

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from nqr_geom import check
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
 
-__all__ = ["Window", "draw_field", "draw_row", "save_field"]
+__all__ = ["ENDINGS", "Window", "draw_field", "draw_row", "save_field"]
 
 Floats = NDArray[np.float64]
+
+ENDINGS = (".png", ".npy", ".vti", ".vtp")  # what `save_field` writes
 
 _BAR = 90  # pixels below the field for its colour bar
 _BAR_STYLE = {
@@ -259,7 +261,7 @@ def save_field(
         If the ending is none of these.
     """
     target = Path(path)
-    ending = check.choice("out", target.suffix.lower(), [".png", ".npy", ".vti", ".vtp"])
+    ending = check.choice("out", target.suffix.lower(), ENDINGS)
     if ending == ".png":
         return draw_field(target, curve, window, values, name=name, signed=signed, contours=0 if signed else 14)
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ import pytest
 from numba import njit
 
 import nqr_geom as ng
+from nqr_geom.curves import compiled, hermite, problems
 from nqr_geom.curves.problems import GwnProblem
 from nqr_geom.curves.structured import CurveRefine, GwnHermite
 from nqr_geom.integrator.estimate import run
@@ -44,6 +45,13 @@ def test_keyed_numbers_are_those_of_streams(seed: int) -> None:
     rows = np.array([0, 1, 5, 10**12])
     expected = stream.uniform(rows[:, None], np.arange(9))
     np.testing.assert_array_equal(numbers(unsigned(stream.key), rows, 9), expected)
+
+
+def test_constants_are_those_of_the_reference() -> None:
+    """Kernels keep their own copies: a cached kernel would not notice a change in another file."""
+    assert compiled._QUADRATIC == hermite._QUADRATIC
+    assert compiled._LEVELS == hermite._LEVELS
+    assert compiled._TINY == problems._TINY
 
 
 @pytest.mark.parametrize("sampler", [Random(), Stratified()])
