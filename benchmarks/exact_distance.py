@@ -15,9 +15,7 @@ import igl
 import igl.cycodebase
 import numpy as np
 from exact_gwn import cubics
-from rich.console import Console
-from rich.table import Table
-from shapes import best_seconds, soup, spiral, star, write, zigzag
+from shapes import best_seconds, show_beside_libigl, soup, spiral, star, write, zigzag
 
 from nqr_geom.curves.curve import Curve
 from nqr_geom.curves.distance import distance
@@ -78,15 +76,7 @@ def main() -> None:
     points = np.random.default_rng(SEED).uniform(-1, 1, (20_000, 2))
     distance(cubics(4), points)  # compile
     rows = [measure(name, curve, points, quick) for name, curve in cases(quick)]
-    table = Table("case", "build ms", "us / query", "libigl us / query", "times faster", "largest difference")
-    for row in rows:
-        table.add_row(
-            row["case"],
-            *(f"{row[key]:.3g}" for key in ("build_ms", "us_per_query", "libigl_us_per_query")),
-            f"{row['ratio']:,.2f}",
-            f"{row['largest_difference']:.1e}",
-        )
-    Console().print(table)
+    show_beside_libigl(rows)
     print(write("exact_distance", rows, seed=SEED, quick=quick, queries=len(points)))
 
 

@@ -15,9 +15,7 @@ import igl
 import igl.cycodebase
 import igl.predicates
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-from shapes import best_seconds, soup, spiral, star, write, zigzag
+from shapes import best_seconds, show_beside_libigl, soup, spiral, star, write, zigzag
 
 from nqr_geom.curves.curve import Curve
 from nqr_geom.curves.tree import tree_of
@@ -88,15 +86,7 @@ def main() -> None:
     gwn(Curve.polyline(star(8)), points)  # compile
     shapes = [*cases(quick), ("spline, 1,000 cubics", cubics(1_000))]
     rows = [measure(name, curve, points, quick) for name, curve in shapes]
-    table = Table("case", "build ms", "us / query", "libigl us / query", "times faster", "largest difference")
-    for row in rows:
-        table.add_row(
-            row["case"],
-            *(f"{row[key]:.3g}" for key in ("build_ms", "us_per_query", "libigl_us_per_query")),
-            f"{row['ratio']:,.1f}",
-            f"{row['largest_difference']:.1e}",
-        )
-    Console().print(table)
+    show_beside_libigl(rows)
     print(write("exact_gwn", rows, seed=SEED, quick=quick, queries=len(points)))
 
 

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
 
 Floats = NDArray[np.float64]
 RESULTS = Path(__file__).parent / "results"
@@ -57,6 +59,19 @@ def best_seconds(function: Callable[[], Any], repeats: int) -> float:
         function()
         times.append(time.perf_counter() - start)
     return min(times)
+
+
+def show_beside_libigl(rows: list[dict[str, Any]]) -> None:
+    """Print what was measured against libigl, one line a case."""
+    table = Table("case", "build ms", "us / query", "libigl us / query", "times faster", "largest difference")
+    for row in rows:
+        table.add_row(
+            row["case"],
+            *(f"{row[key]:.3g}" for key in ("build_ms", "us_per_query", "libigl_us_per_query")),
+            f"{row['ratio']:,.2f}",
+            f"{row['largest_difference']:.1e}",
+        )
+    Console().print(table)
 
 
 def write(name: str, rows: list[dict[str, Any]], **settings: Any) -> Path:
