@@ -8,7 +8,7 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-__all__ = ["machine", "versions"]
+__all__ = ["cores", "machine", "versions"]
 
 
 def _processor() -> str:
@@ -22,6 +22,19 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
+def cores(limit: str = "") -> int:
+    """Cores this process may use, or fewer if the environment variable called `limit` says so.
+
+    Examples
+    --------
+    >>> cores("NUMBA_NUM_THREADS") >= 1
+    True
+    """
+    share = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    told = os.environ.get(limit, "")
+    return min(share, int(told)) if told.isdigit() and int(told) > 0 else share
+
+
 def machine() -> dict[str, str | int]:
     """Processor, cores this process may use, system, and threads that torch would use if it is loaded.
 
@@ -30,8 +43,7 @@ def machine() -> dict[str, str | int]:
     >>> machine()["cores"] >= 1
     True
     """
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    told: dict[str, str | int] = {"processor": _processor(), "cores": usable, "system": platform.system()}
+    told: dict[str, str | int] = {"processor": _processor(), "cores": cores(), "system": platform.system()}
     if "torch" in sys.modules:
         told["torch_threads"] = sys.modules["torch"].get_num_threads()
     return told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,17 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nqr_geom.curves.tree import morton
+from nqr_geom.machine import cores
 
-__all__ = ["cores", "over_rows", "spatial_order"]
+__all__ = ["over_rows", "spatial_order"]
 
 _ROWS_A_CHUNK = 1024  # about 0.2 ms and more of work: far above the cost of handing a chunk to a thread
-
-
-def cores() -> int:
-    """Threads to use: the process's share of the machine, or fewer if NUMBA_NUM_THREADS says so."""
-    share = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    limit = os.environ.get("NUMBA_NUM_THREADS", "")
-    return min(share, int(limit)) if limit.isdigit() and int(limit) > 0 else share
 
 
 def over_rows(kernel: Callable[[int, int], None], count: int) -> None:
@@ -30,7 +23,7 @@ def over_rows(kernel: Callable[[int, int], None], count: int) -> None:
     either concurrent calls from two threads or a later fork, and a library cannot know which of them its user does.
     Rows are answered one by one, so the chunks change nothing in the numbers.
     """
-    workers = min(cores(), -(-count // _ROWS_A_CHUNK))
+    workers = min(cores("NUMBA_NUM_THREADS"), -(-count // _ROWS_A_CHUNK))
     if workers <= 1:
         if count:
             kernel(0, count)
