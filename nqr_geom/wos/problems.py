@@ -152,12 +152,18 @@ class LaplaceProblem(WalkProblem):
 
     @property
     def schema(self) -> Schema:  # type: ignore[override]
-        """Section 6.4's sequence of every step, and how the walk ended."""
+        """Section 6.4's sequence of every step, how and where the walk ended, and where loops of the boundary end.
+
+        "end" is the closest boundary point of the last position relative to the query, its distance and its arc length.
+        """
+        loops = max(int(boundary.domain.loop[-1]) + 1 for boundary in self.boundaries)
         return Schema(
             (
                 Feature("steps", "scalar", self.dim * sum(_SEEN.values())),
                 Feature("length", "scalar"),
                 Feature("finished", "index", levels=2),
+                Feature("end", "scalar", 4),
+                Feature("loops", "scalar", loops),
             )
         )
 
@@ -186,28 +192,40 @@ class LaplaceProblem(WalkProblem):
         edge, t, distance, alive = (a.expand(-1, n) for a in (edge, t, distance, alive))
         return WalkState(position, edge, t, distance, alive, torch.zeros(position.shape[:2], dtype=torch.int64))
 
-    def observe(self, state: WalkState) -> Mapping[str, Tensor]:
-        """What each walk sees before its next step; zeros once it has ended.
-
-        Lengths are in the domain's frame. "closest" and "from_start" are relative to the position and to the query.
-        """
-        edge, shape = state.edge.numpy(), self.shape.numpy()
+    def _closest(self, state: WalkState) -> tuple[Tensor, Tensor, Tensor]:
+        """The closest boundary point (B, N, 2) of each walk's position, its arc length and its value, (B, N)."""
+        edge, shape, t = state.edge.numpy(), self.shape.numpy(), state.t.numpy()
         edges = self.geometry.edges
         local = edge - self.geometry.shape[shape, 3][:, None]
-        t = state.t.numpy()
-        corner = torch.from_numpy(edges[edge, :2] + t[..., None] * edges[edge, 2:4])
+        corner = edges[edge, :2] + t[..., None] * edges[edge, 2:4]
         arc, value = np.empty(edge.shape), np.empty(edge.shape)
         for k in np.unique(shape):
             of, boundary = shape == k, self.boundaries[k]
             arc[of] = boundary.domain.arc[local[of]] + t[of] * boundary.domain.lengths[local[of]]
             value[of] = boundary.at(local[of], t[of])
+        return torch.from_numpy(corner), torch.from_numpy(arc), torch.from_numpy(value)
+
+    def _loops(self) -> Tensor:
+        """Arc length at the end of each loop of each query's domain, (B, L); a domain with fewer repeats its last."""
+        ends = [np.flatnonzero(np.diff(b.domain.loop, append=-1)) for b in self.boundaries]
+        arcs = [b.domain.arc[end] + b.domain.lengths[end] for b, end in zip(self.boundaries, ends, strict=True)]
+        most = max(len(arc) for arc in arcs)
+        padded = np.stack([np.pad(arc, (0, most - len(arc)), mode="edge") for arc in arcs])
+        return torch.from_numpy(padded)[self.shape]
+
+    def observe(self, state: WalkState) -> Mapping[str, Tensor]:
+        """What each walk sees before its next step; zeros once it has ended.
+
+        Lengths are in the domain's frame. "closest" and "from_start" are relative to the position and to the query.
+        """
+        corner, arc, value = self._closest(state)
         away = corner - state.position
         turn = torch.atan2(away[..., 1], away[..., 0])
         seen = {
             "closest": away,
             "distance": state.distance[..., None],
-            "arc_length": torch.from_numpy(arc)[..., None],
-            "boundary_value": torch.from_numpy(value)[..., None],
+            "arc_length": arc[..., None],
+            "boundary_value": value[..., None],
             "from_start": corner - self.points[:, None],
             "angle": torch.stack([turn.cos(), turn.sin()], dim=-1),
             "alive": torch.ones_like(state.distance)[..., None],
@@ -231,18 +249,17 @@ class LaplaceProblem(WalkProblem):
 
     def finish(self, state: WalkState) -> Observation:
         """Boundary value closest to each walk's last position, and the walk."""
-        edge, shape, t = state.edge.numpy(), self.shape.numpy(), state.t.numpy()
-        local = edge - self.geometry.shape[shape, 3][:, None]
-        value = np.empty(edge.shape)
-        for k in np.unique(shape):
-            of = shape == k
-            value[of] = self.boundaries[k].at(local[of], t[of])
+        corner, arc, value = self._closest(state)
+        end = torch.cat([corner - self.points[:, None], state.distance[..., None], arc[..., None]], dim=-1)
+        loops = self._loops()[:, None, None].expand(-1, state.edge.shape[1], -1, -1)
         features = {
             "steps": torch.cat(state.history, dim=-1)[:, :, None],
             "length": state.steps.double()[:, :, None, None],
             "finished": (~state.alive).long()[:, :, None, None],
+            "end": end[:, :, None],
+            "loops": loops,
         }
-        return Observation(torch.from_numpy(value)[:, :, None, None], features, queries=int(state.steps.sum()))
+        return Observation(value[:, :, None, None], features, queries=int(state.steps.sum()))
 
     def take(self, index: slice | Tensor) -> LaplaceProblem:
         return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index])
