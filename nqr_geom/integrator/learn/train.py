@@ -120,18 +120,28 @@ def _huber(error: Tensor, knee: float) -> Tensor:
     return 2.0 * knee**2 * (torch.sqrt(1.0 + (error / knee) ** 2) - 1.0)
 
 
-def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
-    """Mean (robust) squared error of the corrected rule over a batch, before and behind the link (Eqs. 53 to 56)."""
+def residuals(
+    recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples
+) -> tuple[Tensor, Tensor | None]:
+    """Errors of the corrected rule before and behind the link, (B, C) each; one and None where there is no link."""
     samples, link = batch.problem.finalize(samples)
     tokens = tokenize(samples, recipe.config.tokens, recipe.extra)  # (B, N, T, width)
     b, n, t, width = tokens.shape
     raw = net(tokens.view(b, n * t, width)).view(b, n, t, -1)
     inner = correct(raw, recipe.base_rule().combine(samples), samples, recipe.config).estimate(samples)
-    truth = inner_answer(batch.answer, link)
-    if link.name == "identity":
-        return _huber(inner - truth, recipe.huber).mean()
-    behind = _huber(training_link(link, inner) - batch.answer, recipe.huber).mean()
-    return recipe.inner * _huber(inner - truth, recipe.huber).mean() + recipe.outer * behind
+    before = inner - inner_answer(batch.answer, link)
+    return before, None if link.name == "identity" else training_link(link, inner) - batch.answer
+
+
+def robust(recipe: Recipe, before: Tensor, behind: Tensor | None) -> Tensor:
+    """Mean (robust) squared error of residuals (Eqs. 53 to 56)."""
+    first = _huber(before, recipe.huber).mean()
+    return first if behind is None else recipe.inner * first + recipe.outer * _huber(behind, recipe.huber).mean()
+
+
+def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
+    """Mean (robust) squared error of the corrected rule over a batch, before and behind the link."""
+    return robust(recipe, *residuals(recipe, net, batch, samples))
 
 
 @torch.no_grad()
