@@ -44,6 +44,9 @@ class INetConfig:
         Take the mean out of the correction, so that constants are integrated as by the base rule.
     doubtful_only : bool
         Correct only the integrals that the base rule itself flags, where it is exact or nearly so elsewhere.
+    beside : int
+        Values that the application has seen beside each sample's own (`Extra.beside`). Each gets a weight, which
+        counts from the mean of the row: an added constant is not seen.
     """
 
     tokens: TokenConfig = field(default_factory=TokenConfig)
@@ -55,11 +58,13 @@ class INetConfig:
     offset: bool = False
     unit_mass: bool = False
     doubtful_only: bool = False
+    beside: int = 0
 
     @property
     def outputs(self) -> int:
-        """Numbers a token gives: for each channel g (if weights are relative), h, and o (if there is an offset)."""
-        return self.tokens.channels * ((2 if self.weights == "relative" else 1) + self.offset)
+        """Numbers a token gives: for each channel g (if weights are relative), h, and o (if there is an offset); then
+        the weights of the values beside."""
+        return self.tokens.channels * ((2 if self.weights == "relative" else 1) + self.offset) + self.beside
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a model card; `from_dict` is its inverse."""
@@ -125,13 +130,16 @@ class INet(nn.Module):
         return self.head(self.norm(x)).float()  # (B, L, outputs)
 
 
-def correct(raw: Tensor, base: Combination, samples: Samples, config: INetConfig) -> Combination:
+def correct(
+    raw: Tensor, base: Combination, samples: Samples, config: INetConfig, extra: Extra | None = None
+) -> Combination:
     """Apply raw outputs (B, N, T, outputs) to the base rule's combination, in float64.
 
-    Where all outputs are zero the result is the base rule's, bit for bit.
+    Where all outputs are zero the result is the base rule's, bit for bit. `extra` brings the values beside, if any.
     """
     value, unit = standard(samples.value, config.tokens)
-    parts = list(raw.to(value.dtype).split(config.tokens.channels, dim=-1))
+    raw, beside = raw.to(value.dtype).split([config.outputs - config.beside, config.beside], dim=-1)
+    parts = list(raw.split(config.tokens.channels, dim=-1))
     growth = parts.pop(0) if config.weights == "relative" else None  # g
     change = parts.pop(0)  # h
     weights = base.weights
@@ -143,6 +151,12 @@ def correct(raw: Tensor, base: Combination, samples: Samples, config: INetConfig
         change = change - row_mean(weights - base.weights + change)[:, None]
     weights = weights + change
     shift = row_mean((parts.pop(0) * unit).sum(dim=2)) if config.offset else None  # (B, C)
+    if config.beside:
+        if extra is None or extra.beside is None:
+            raise ValueError(f"extra: expected one that brings {config.beside} values beside each sample's, got none")
+        away = extra.beside(samples) - row_mean(samples.value)[:, None]  # (B, N, T, K)
+        more = row_mean((beside * away).sum(dim=(2, 3)))[:, None]  # (B, 1)
+        shift = more if shift is None else shift + more
     if config.doubtful_only and base.fallback is not None:
         weights = torch.where(base.fallback[:, None, None, None], weights, base.weights)
         shift = None if shift is None else torch.where(base.fallback[:, None], shift, 0.0)
@@ -199,7 +213,7 @@ class LearnedRule(Rule):
         raw = raw.view(b, n, t, -1)
         if order is not None:
             raw = torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
-        return correct(raw, base, samples, self.net.config)
+        return correct(raw, base, samples, self.net.config, self.extra)
 
     def _in_tiles(self, tokens: Tensor) -> Tensor:
         """Run the network over tiles of a size that depends on the length alone; the last one is filled up."""

@@ -35,11 +35,14 @@ class Extra:
         Samples (sorted along x in one dimension) to a tensor (B, N, T, size).
     checked : tuple of int
         Those of them that tell whether data resemble a family; a model does not answer outside their trained range.
+    beside : callable, optional
+        Samples to further values of the integrand's kind that were seen with each, (B, N, T, K).
     """
 
     size: int
     compute: Callable[[Samples], Tensor]
     checked: tuple[int, ...] = ()
+    beside: Callable[[Samples], Tensor] | None = None
 
 
 @dataclass(frozen=True)
