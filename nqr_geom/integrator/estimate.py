@@ -201,9 +201,11 @@ def _tile(
     if whole is not None:
         result = whole(stream)
         stages["compiled"] = stages.get("compiled", 0.0) + time.perf_counter() - start
-        counts = {"samples": problem.batch * n, "queries": result.queries}
-        inner, fallback = result.inner, result.fallback
-        return {"value": inner, "inner": inner, "m2": result.m2, "fallback": fallback, "counts": counts}
+        counts = {"samples": problem.batch * n, "queries": result.queries, **result.work}
+        inner, link = result.inner, result.link
+        m2 = None if result.m2 is None else result.m2 * link.slope(inner) ** 2
+        fallback = result.fallback | link.clamped(inner).any(dim=1)
+        return {"value": link(inner), "inner": inner, "m2": m2, "fallback": fallback, "counts": counts}
     samples = sampler.draw(problem, n, stream)
     drawn = time.perf_counter()
     samples, link = problem.finalize(samples)
@@ -220,7 +222,7 @@ def _tile(
         m2 = spread * link.slope(inner) ** 2
     stages["draw"] += drawn - start
     stages["combine"] += time.perf_counter() - drawn
-    counts = {"samples": samples.x.shape[0] * n, "queries": samples.seen.queries}
+    counts = {"samples": samples.x.shape[0] * n, "queries": samples.seen.queries, **samples.seen.work}
     return {"value": value, "inner": inner, "m2": m2, "fallback": fallback, "counts": counts}
 
 
@@ -283,7 +285,7 @@ def run(
                 value[tile] = part["value"].cpu().numpy()
                 inner[tile] += part["inner"].cpu().numpy() / replicates
                 fallback[tile] |= part["fallback"].cpu().numpy()
-                counts = {key: counts[key] + part["counts"][key] for key in counts}
+                counts = {key: counts.get(key, 0) + amount for key, amount in part["counts"].items()}
                 if part["m2"] is not None:
                     m2[tile], kind = part["m2"].cpu().numpy(), "samples"
             count = n if kind == "samples" else 1

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from nqr_geom.streams import Stream
 
-__all__ = ["Feature", "Link", "LogLink", "Observation", "Problem", "Samples", "Schema", "WalkProblem", "Whole"]
+__all__ = ["ExpLink", "Feature", "Link", "LogLink", "Observation", "Problem", "Samples", "Schema", "WalkProblem", "Whole"]
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,8 @@ class Observation:
         Density of every technique (last axis) at each technique's sample, for multiple importance sampling.
     queries : int
         Evaluations of the underlying function that were needed.
+    work : mapping of str to int
+        Other work by kind, where the problem counts it (noise evaluations, shadow rays).
     """
 
     value: Tensor
@@ -84,6 +86,7 @@ class Observation:
     control: tuple[Tensor, Tensor] | None = None
     technique_pdf: Tensor | None = None
     queries: int = 0
+    work: Mapping[str, int] = field(default_factory=dict)
 
     @staticmethod
     def join(parts: Sequence[Observation]) -> Observation:
@@ -99,6 +102,7 @@ class Observation:
             control=control,
             technique_pdf=torch.cat(densities, dim=1) if densities else None,
             queries=sum(p.queries for p in parts),
+            work={kind: sum(p.work[kind] for p in parts) for kind in first.work},
         )
 
 
@@ -228,6 +232,25 @@ class LogLink(Link):
 
 
 @dataclass(frozen=True)
+class ExpLink(Link):
+    """G(F) = exp(-max(F, 0)): transmittance from optical depth, Eq. 6.
+
+    A learned offset lies inside the exponential, with the weighted mean; Eq. 7 adds it outside.
+    """
+
+    name: str = "exp"
+
+    def __call__(self, inner: Tensor) -> Tensor:
+        return torch.exp(-inner.clamp_min(0.0))
+
+    def slope(self, inner: Tensor) -> Tensor:
+        return -torch.exp(-inner.clamp_min(0.0))
+
+    def clamped(self, inner: Tensor) -> Tensor:
+        return inner < 0.0
+
+
+@dataclass(frozen=True)
 class Whole:
     """What a compiled pass over sampler and rule gives for a batch.
 
@@ -241,12 +264,18 @@ class Whole:
         Evaluations of the integrand.
     m2 : Tensor, (B, C), or None
         Sum of squared deviations of n independent terms, where they are independent.
+    link : Link
+        The function outside.
+    work : mapping of str to int
+        Other work by kind, as in `Observation`.
     """
 
     inner: Tensor
     fallback: Tensor
     queries: int
     m2: Tensor | None = None
+    link: Link = field(default_factory=Link)
+    work: Mapping[str, int] = field(default_factory=dict)
 
 
 class Problem(ABC):

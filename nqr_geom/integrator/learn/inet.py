@@ -21,7 +21,7 @@ from nqr_geom.integrator.sums import row_mean
 __all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct"]
 
 TILE_TOKENS = 256 * 32  # float32 products change with the batch size, so a network always sees this many tokens
-_LOG_RANGE = 30.0
+_LEAST_GROWTH = -30.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,11 @@ class INetConfig:
     beside : int
         Values that the application has seen beside each sample's own (`Extra.beside`). Each gets a weight, which
         counts from the mean of the row: an added constant is not seen.
+    growth : float
+        Largest g.
+    positive : bool
+        The integrals are known to be positive: where the corrected estimate is not, a model answers with its base and
+        says so. In training the clamp of Eq. 56 takes care of it.
     """
 
     tokens: TokenConfig = field(default_factory=TokenConfig)
@@ -59,6 +64,8 @@ class INetConfig:
     unit_mass: bool = False
     doubtful_only: bool = False
     beside: int = 0
+    growth: float = 3.0
+    positive: bool = False
 
     @property
     def outputs(self) -> int:
@@ -145,7 +152,7 @@ def correct(
     weights = base.weights
     if growth is not None:
         # Not base + base expm1(g): beside a singularity the weight must be right relative to itself, not to 1.
-        weights = weights * torch.exp(growth.clamp(-_LOG_RANGE, 0.1 * _LOG_RANGE))
+        weights = weights * torch.exp(growth.clamp(_LEAST_GROWTH, config.growth))
         change = change * (unit / torch.maximum(value.abs(), unit))
     if config.unit_mass:
         change = change - row_mean(weights - base.weights + change)[:, None]
@@ -166,6 +173,19 @@ def correct(
     elif shift is not None:
         offset = shift
     return replace(base, weights=weights, offset=offset)
+
+
+def _kept_positive(mine: Combination, base: Combination, samples: Samples) -> Combination:
+    """The base's answer, and a flag, where a corrected estimate of a positive integral is not positive."""
+    wrong = ~(mine.estimate(samples) > 0.0).all(dim=1)  # (B,)
+    offset = mine.offset
+    if offset is not None:
+        before = offset.new_zeros(1, 1) if base.offset is None else base.offset
+        shape = (-1, *[1] * (offset.ndim - 1))
+        offset = torch.where(wrong.view(shape), before[:, None] if before.ndim < offset.ndim else before, offset)
+    weights = torch.where(wrong[:, None, None, None], base.weights, mine.weights)
+    flags = wrong if mine.fallback is None else wrong | mine.fallback
+    return replace(mine, weights=weights, offset=offset, fallback=flags)
 
 
 class UniformWeights(Rule):
@@ -213,7 +233,8 @@ class LearnedRule(Rule):
         raw = raw.view(b, n, t, -1)
         if order is not None:
             raw = torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
-        return correct(raw, base, samples, self.net.config, self.extra)
+        corrected = correct(raw, base, samples, self.net.config, self.extra)
+        return _kept_positive(corrected, base, samples) if self.net.config.positive else corrected
 
     def _in_tiles(self, tokens: Tensor) -> Tensor:
         """Run the network over tiles of a size that depends on the length alone; the last one is filled up."""

@@ -17,6 +17,8 @@ from nqr_geom.streams import Stream
 
 __all__ = ["Batch", "Recipe", "draw_samples", "inner_answer"]
 
+_LARGEST = 600.0  # exponent that float64 holds with room to spare
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -116,7 +118,7 @@ def draw_samples(problem: Problem, designs: tuple[str, ...], n: int, stream: Str
 def inner_answer(answer: Tensor, link: Link) -> Tensor:
     """The inner integral F of a true answer G(F), (B, C)."""
     if isinstance(link, LogLink):
-        return torch.exp(-link.alpha * (answer - link.shift))
+        return torch.exp((-link.alpha * (answer - link.shift)).clamp(-_LARGEST, _LARGEST))
     if link.name == "identity":
         return answer
     raise ValueError(f"link: expected identity or log, got {link.name!r}")
