@@ -18,13 +18,14 @@ import torch
 from torch import Tensor
 
 from nqr_geom import check, registry
+from nqr_geom.integrator.learn.card_page import page
 from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule
 from nqr_geom.integrator.learn.recipe import Recipe
 from nqr_geom.integrator.learn.tokens import Extra, sort_samples
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 
-__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save"]
+__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save", "write_card"]
 
 BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _MARGIN = 0.1  # of the trained range, beyond either end
@@ -108,15 +109,21 @@ class Card:
 
 
 def save(folder: str | Path, net: INet, card: Card) -> Card:
-    """Write NAME.safetensors and NAME.json; returns the card with the hash of the weights."""
+    """Write NAME.safetensors, NAME.json and NAME.md; returns the card with the hash of the weights."""
     safetensors = check.require("safetensors.torch", "learn", "models")
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     weights = safetensors.save({name: tensor.contiguous() for name, tensor in net.state_dict().items()})
     card = Card(**{**vars(card), "sha256": hashlib.sha256(weights).hexdigest()})
     (folder / f"{card.name}.safetensors").write_bytes(weights)
-    (folder / f"{card.name}.json").write_text(card.to_json())
+    write_card(folder, card)
     return card
+
+
+def write_card(folder: str | Path, card: Card) -> None:
+    """Write NAME.json and, for people, NAME.md."""
+    (Path(folder) / f"{card.name}.json").write_text(card.to_json())
+    (Path(folder) / f"{card.name}.md").write_text(page(card))
 
 
 def load(folder: str | Path, recipe: Recipe) -> Model:
@@ -168,6 +175,8 @@ def checked(samples: Samples, extra: Extra | None) -> Tensor:
     """The quantities of samples that tell whether data resemble a family, (B, N T, K)."""
     if extra is None or not extra.checked:
         return samples.x.new_zeros(samples.x.shape[0], 1, 0)
+    if extra.check is not None:
+        return extra.check(samples).flatten(1, 2)
     return extra.compute(sort_samples(samples)[0])[..., list(extra.checked)].flatten(1, 2)
 
 
