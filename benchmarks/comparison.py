@@ -1,0 +1,182 @@
+"""Rules on the same samples: what the benchmarks of learned rules have in common.
+
+A network is never shown alone. Beside it stand its base rule and the network on the uniform base (the paper's form), on
+the very same samples, as ratios of mean squared errors to plain Monte Carlo with as many random samples. A trained
+sampler (`method="nqr"` of a problem) joins every comparison as soon as the registry names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from nqr_geom import registry
+from nqr_geom.integrator.bootstrap import Bootstrap
+from nqr_geom.integrator.estimate import run
+from nqr_geom.integrator.frontier import refusal
+from nqr_geom.integrator.problem import Problem
+
+Floats = NDArray[np.float64]
+Pair = tuple[str, str]  # sampler, rule
+
+N = 32
+SEED = 0
+PLAIN: Pair = ("random", "mc")
+DESIGNS = ("random", "stratified")
+CLASSICAL = ("mc", "trapezoid", "regression-3", "regression-5")
+# Structure-aware rule, network on it, network on the uniform base.
+LEARNED = {"toy": ("toy-hermite", "inet-toy-structured", "inet-toy-uniform"),
+           "gwn": ("gwn-hermite", "inet-gwn-structured", "inet-gwn-uniform")}  # fmt: skip
+NAMES = {
+    "mc": "MC",
+    "trapezoid": "Trapz",
+    "regression-3": "Poly-3",
+    "regression-5": "Poly-5",
+    "toy-hermite": "structure-aware",
+    "gwn-hermite": "structure-aware",
+    "inet-toy-structured": "INet on it",
+    "inet-gwn-structured": "INet on it",
+    "inet-toy-uniform": "INet, uniform base",
+    "inet-gwn-uniform": "INet, uniform base",
+}
+
+
+def trained_sampler(problem: str) -> Pair | None:
+    """Sampler and rule of the problem's `method="nqr"`, or None while there is none."""
+    return registry.method("nqr", problem) if f"{problem}:nqr" in registry.ALIASES else None
+
+
+def base_of(rule: str) -> str | None:
+    """The rule that a network corrects; "mc" for the uniform base, None for what is no network."""
+    from nqr_geom.recipes import RECIPES
+
+    recipe = RECIPES.get(rule.removeprefix("inet-"))
+    if recipe is None or not rule.startswith("inet-"):
+        return None
+    return "mc" if recipe.base == "uniform" else recipe.base
+
+
+def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Sequence[str] = DESIGNS) -> list[Pair]:
+    """Every rule on fixed designs, the structured method, and the trained sampler under every rule that can count."""
+    pairs = [(design, rule) for design in designs for rule in (*classical, *LEARNED[problem])]
+    pairs.append(registry.method("structured", problem))
+    joint = trained_sampler(problem)
+    if joint is not None:
+        base = base_of(joint[1])
+        rules = dict.fromkeys((base or LEARNED[problem][0], LEARNED[problem][0], joint[1], LEARNED[problem][2]))
+        pairs += [(joint[0], rule) for rule in rules]
+    return pairs
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What a pair did on a problem.
+
+    Parameters
+    ----------
+    deviations : ndarray, (B, R)
+        Estimate minus truth, for R seeds.
+    fallback : float
+        Share of integrals that were flagged.
+    microseconds : float
+        Of the fastest run, an integral.
+    """
+
+    deviations: Floats
+    fallback: float
+    microseconds: float
+
+    @property
+    def squared(self) -> Floats:
+        """Squared errors, (B, R)."""
+        return self.deviations**2
+
+
+def errors_of(problem: Problem, pair: Pair, runs: int = 1, n: int = N, seed: int = SEED) -> Errors:
+    """Run a pair `runs` times, with seeds from `seed` on."""
+    truth = problem.reference()
+    assert truth is not None
+    sampler, rule = registry.make("sampler", pair[0]), registry.make("rule", pair[1])
+    parts = [run(problem, sampler, rule, n, seed=seed + r) for r in range(runs)]
+    return Errors(
+        np.concatenate([part.value - truth for part in parts], axis=1),
+        float(np.mean([part.fallback.mean() for part in parts])),
+        1e6 * min(part.seconds for part in parts) / problem.batch,
+    )
+
+
+def rows_of(
+    label: str,
+    problem: Problem,
+    pairs: Sequence[Pair],
+    runs: int = 1,
+    n: int = N,
+    *,
+    repeated: bool = False,
+    shapes: bool = False,
+) -> list[dict[str, Any]]:
+    """One row for each pair that fits, with its ratio to Monte Carlo and, for a network, to its own base.
+
+    Ratios are of means, with 95% bootstrap intervals over the problem's groups. Where the batch is one integral
+    `repeated`, the variance around the mean estimate is told too; with `shapes`, every group's mean squared error.
+    """
+    groups = problem.groups
+    bootstrap = Bootstrap.of(groups, runs, SEED)
+    chosen = [pair for pair in dict.fromkeys((PLAIN, *pairs)) if refusal(problem, *pair, n) is None]
+    found = {pair: errors_of(problem, pair, runs, n) for pair in chosen}
+    plain = found[PLAIN].squared
+    rows = []
+    for pair in chosen:
+        e = found[pair].squared
+        row = {
+            "problem": label,
+            "design": pair[0],
+            "rule": pair[1],
+            "n": n,
+            "mse": float(e.mean()),
+            "median": float(np.median(e)),
+            "p99": float(np.quantile(e, 0.99)),
+            "ratio": float(plain.mean() / e.mean()),
+            "ratio_interval": bootstrap.ratio(plain, e),
+            "fallback": found[pair].fallback,
+            "microseconds": found[pair].microseconds,
+        }
+        if repeated:
+            row["variance"] = float(found[pair].deviations.var())
+        if shapes:
+            row["by_shape"] = [float(e[groups == shape].mean()) for shape in np.unique(groups)]
+        base = base_of(pair[1])
+        if base is not None and (pair[0], base) in found:
+            under = found[pair[0], base].squared
+            row |= {"base": base, "gain": float(under.mean() / e.mean()), "gain_interval": bootstrap.ratio(under, e)}
+        rows.append(row)
+    return rows
+
+
+def show(title: str, rows: list[dict[str, Any]]) -> None:
+    """Print rows as a table."""
+    head = ("problem", "samples", "rule", "MSE", "median", "p99", "x MC", "95%", "x own base", "95%")
+    table = Table(*head, title=title)
+    for row in rows:
+        gain = [f"{row['gain']:.3g}", span(row["gain_interval"])] if "gain" in row else ["", ""]
+        table.add_row(
+            row["problem"],
+            row["design"],
+            row["rule"],
+            *(f"{row[key]:.2e}" for key in ("mse", "median", "p99")),
+            f"{row['ratio']:.3g}",
+            span(row["ratio_interval"]),
+            *gain,
+        )
+    Console(width=150).print(table)
+
+
+def span(interval: tuple[float, float] | None) -> str:
+    """An interval for people."""
+    return "unbounded" if interval is None else f"{interval[0]:.3g} .. {interval[1]:.3g}"
