@@ -17,13 +17,13 @@ from nqr_geom.curves.shapes import PackedShapes
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.streams import Stream
 
-__all__ = ["NEAREST", "gwn_batch", "near_distance", "quadratic_winding"]
+__all__ = ["NEAREST", "gwn_batch", "near_distance", "quadratic_winding", "queries", "roots_of"]
 
 NEAREST = 1e-3
 _TRIES = 4
 
 
-def _roots(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+def roots_of(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """Complex roots (B, K, 2) of z(t) = p for quadratics (B, K, 3, 2) and queries (B, 2), with z''/2 (B, K)."""
     z = torch.view_as_complex(control.contiguous()) - torch.view_as_complex(points.contiguous())[:, None, None]
     c = z[..., 0]
@@ -58,7 +58,7 @@ def quadratic_winding(control: Tensor, points: Tensor) -> Tensor:
     >>> round(quadratic_winding(arch, torch.zeros(1, 2, dtype=torch.float64)).item(), 12)
     0.5
     """
-    roots, _ = _roots(control, points)
+    roots, _ = roots_of(control, points)
     return ((roots - 1.0) / roots).angle().sum(dim=(1, 2)) / (2.0 * math.pi)
 
 
@@ -80,7 +80,7 @@ def near_distance(control: Tensor, points: Tensor) -> Tensor:
     Tensor, (B,)
         Distances.
     """
-    roots, _ = _roots(control, points)
+    roots, _ = roots_of(control, points)
     t = torch.cat([roots.real.clamp(0.0, 1.0), roots.real.new_tensor([0.0, 1.0]).expand(*roots.shape[:2], 2)], -1)
     t = t[..., None]
     p0, p1, p2 = (control[:, :, k, None] for k in range(3))
