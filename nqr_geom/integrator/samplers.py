@@ -22,12 +22,14 @@ __all__ = [
     "BayesianDesign",
     "GaussLegendreNodes",
     "Grid",
+    "JitterPair",
     "LatinHypercube",
     "Pmj",
     "Random",
     "Sampler",
     "Sobol",
     "Stratified",
+    "UniformJitter",
     "cells_per_axis",
 ]
 
@@ -139,6 +141,35 @@ class Stratified(FixedDesign):
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
         corner, axes = _cells(n, dim, rows.device)
         return (corner + stream.uniform(*counters(rows, n, dim))) / axes
+
+
+class UniformJitter(FixedDesign):
+    """The same uniform place in each of n equal cells: one random shift of a grid (uniform jitter).
+
+    References
+    ----------
+    Ramamoorthi, Anderson, Meyer, Nowrouzezahrai, A theory of Monte Carlo visibility sampling, 2012.
+    """
+
+    name = "uniform-jitter"
+    stratified = True
+
+    def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
+        corner, axes = _cells(n, dim, rows.device)
+        shift = stream.uniform(*counters(rows, 1, dim))
+        return (corner + shift) / axes
+
+
+class JitterPair(FixedDesign):
+    """Two independent uniformly jittered sets of n/2 points, one after the other; n is even."""
+
+    name = "jitter-pair"
+
+    def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
+        if n % 2:
+            raise ValueError(f"n: expected an even number for {self.name!r}, got {n}")
+        halves = [UniformJitter().points(rows, n // 2, dim, stream.child(half)) for half in ("first", "second")]
+        return torch.cat(halves, dim=1)
 
 
 class Grid(FixedDesign):
