@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -161,15 +161,21 @@ class UniformJitter(FixedDesign):
 
 
 class JitterPair(FixedDesign):
-    """Two independent uniformly jittered sets of n/2 points, one after the other; n is even."""
+    """Two independent uniformly jittered sets of half the points each; `stratum` tells them apart."""
 
     name = "jitter-pair"
 
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
-        if n % 2:
-            raise ValueError(f"n: expected an even number for {self.name!r}, got {n}")
-        halves = [UniformJitter().points(rows, n // 2, dim, stream.child(half)) for half in ("first", "second")]
-        return torch.cat(halves, dim=1)
+        first = UniformJitter().points(rows, n - n // 2, dim, stream.child("first"))
+        if n == 1:
+            return first
+        return torch.cat([first, UniformJitter().points(rows, n // 2, dim, stream.child("second"))], dim=1)
+
+    def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
+        samples = super().draw(problem, n, stream)
+        half = (torch.arange(n, device=samples.x.device) >= n - n // 2).long()
+        volume = torch.where(half == 0, n - n // 2, n // 2).double() / n
+        return replace(samples, stratum=half.expand(problem.batch, n), volume=volume.expand(problem.batch, n))
 
 
 class Grid(FixedDesign):
