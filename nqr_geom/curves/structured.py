@@ -87,7 +87,10 @@ class CurveRefine(Sampler):
             index = (count == k).nonzero()[:, 0]
             part = problem.take(index)
             result.append((index, self._refine(part, k, n, stream) if n >= 2 * k else self._spread(part, n, stream)))
-        return result[0][1] if len(result) == 1 else _interleaved(result)
+        if len(result) == 1:
+            return result[0][1]
+        order = torch.cat([index for index, _ in result]).argsort()
+        return Samples.stack([samples for _, samples in result]).take(order)
 
     def _spread(self, problem: Problem, n: int, stream: Stream) -> Samples:
         samples = Stratified().draw(problem, n, stream)
@@ -165,19 +168,3 @@ class _Gaps:
         self._store((at, chosen), middle[:, :2], points[:, :2], slopes[:, :2], left)
         self._store((at, new), middle[:, 1:], points[:, 1:], slopes[:, 1:], right)
         self.used += 1
-
-
-def _interleaved(parts: list[tuple[Tensor, Samples]]) -> Samples:
-    """Put samples of row subsets back into one batch."""
-    order = torch.cat([index for index, _ in parts]).argsort()
-
-    def rows(tensors: list[Tensor]) -> Tensor:
-        return torch.cat(tensors)[order]
-
-    seen = [samples.seen for _, samples in parts]
-    joined = Observation(
-        rows([o.value for o in seen]),
-        {name: rows([o.features[name] for o in seen]) for name in seen[0].features},
-        queries=sum(o.queries for o in seen),
-    )
-    return Samples(rows([samples.x for _, samples in parts]), joined, None, parts[0][1].design)

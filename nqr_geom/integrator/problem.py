@@ -17,7 +17,18 @@ from torch import Tensor
 
 from nqr_geom.streams import Stream
 
-__all__ = ["ExpLink", "Feature", "Link", "LogLink", "Observation", "Problem", "Samples", "Schema", "WalkProblem", "Whole"]
+__all__ = [
+    "ExpLink",
+    "Feature",
+    "Link",
+    "LogLink",
+    "Observation",
+    "Problem",
+    "Samples",
+    "Schema",
+    "WalkProblem",
+    "Whole",
+]
 
 
 @dataclass(frozen=True)
@@ -105,6 +116,37 @@ class Observation:
             work={kind: sum(p.work[kind] for p in parts) for kind in first.work},
         )
 
+    @staticmethod
+    def stack(parts: Sequence[Observation]) -> Observation:
+        """Observations of different integrals, one after the other along B."""
+        first = parts[0]
+        control = None
+        if first.control is not None:
+            pairs = [p.control for p in parts if p.control is not None]
+            control = (torch.cat([pair[0] for pair in pairs]), torch.cat([pair[1] for pair in pairs]))
+        densities = [p.technique_pdf for p in parts if p.technique_pdf is not None]
+        return Observation(
+            value=torch.cat([p.value for p in parts]),
+            features={name: torch.cat([p.features[name] for p in parts]) for name in first.features},
+            control=control,
+            technique_pdf=torch.cat(densities) if densities else None,
+            queries=sum(p.queries for p in parts),
+            work={kind: sum(p.work[kind] for p in parts) for kind in first.work},
+        )
+
+    def take(self, rows: slice | Tensor) -> Observation:
+        """What was seen of the integrals `rows`; the work is shared out evenly."""
+        value = self.value[rows]
+        whole = max(1, len(self.value))
+        return Observation(
+            value=value,
+            features={name: tensor[rows] for name, tensor in self.features.items()},
+            control=self.control and (self.control[0][rows], self.control[1][rows]),
+            technique_pdf=None if self.technique_pdf is None else self.technique_pdf[rows],
+            queries=self.queries * len(value) // whole,
+            work={kind: count * len(value) // whole for kind, count in self.work.items()},
+        )
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -155,6 +197,39 @@ class Samples:
             have = ", ".join(self.seen.features) or "none"
             raise ValueError(f"rule: {rule!r} needs the feature {name!r}, this problem has {have}")
         return self.seen.features[name]
+
+    @staticmethod
+    def stack(parts: Sequence[Samples]) -> Samples:
+        """Samples of different integrals by one design, one after the other along B."""
+
+        def rows(name: str) -> Tensor | None:
+            tensors = [getattr(part, name) for part in parts]
+            return None if tensors[0] is None else torch.cat(tensors)
+
+        first = parts[0]
+        return replace(
+            first,
+            x=torch.cat([part.x for part in parts]),
+            seen=Observation.stack([part.seen for part in parts]),
+            pdf=rows("pdf"),
+            stratum=rows("stratum"),
+            volume=rows("volume"),
+        )
+
+    def take(self, rows: slice | Tensor) -> Samples:
+        """The samples of the integrals `rows`."""
+
+        def maybe(tensor: Tensor | None) -> Tensor | None:
+            return None if tensor is None else tensor[rows]
+
+        return replace(
+            self,
+            x=self.x[rows],
+            seen=self.seen.take(rows),
+            pdf=maybe(self.pdf),
+            stratum=maybe(self.stratum),
+            volume=maybe(self.volume),
+        )
 
     def permuted(self, order: Tensor) -> Samples:
         """The same samples in another order; `order` is (B, N) int64."""

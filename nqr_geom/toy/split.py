@@ -13,11 +13,11 @@ from nqr_geom.integrator.samplers import Sampler, Stratified
 from nqr_geom.streams import Stream
 from nqr_geom.toy.family import PIECES, Shape
 
-__all__ = ["ToySplit"]
+__all__ = ["Gap", "Seen", "ToySplit"]
 
 
 @dataclass(frozen=True)
-class _Seen:
+class Seen:
     """Samples in the order of placement, after two columns for the ends of [0, 1]; tables of shape (B, n + 2).
 
     `settled` counts what determines the law of each piece, (B, PIECES + 1): from 3 on its smooth gaps are exact. The
@@ -31,7 +31,7 @@ class _Seen:
     settled: Tensor
 
     @classmethod
-    def empty(cls, like: Tensor, n: int) -> _Seen:
+    def empty(cls, like: Tensor, n: int) -> Seen:
         """Room for n samples a row, on the device of `like` (B, ...)."""
         x, value, slope = like.new_zeros(3, like.shape[0], n + 2)
         x[:, 1] = 1.0
@@ -50,10 +50,71 @@ class _Seen:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """What gaps between columns of `Seen` tell, each (B, k).
+
+    Parameters
+    ----------
+    width : Tensor
+        h.
+    known : Tensor, (B, k, 2) bool
+        Whether the left and the right end are samples, not ends of [0, 1].
+    piece, breaks : Tensor
+        Piece index at the left end, and how many breaks hide.
+    rise : Tensor
+        Difference of the values.
+    ahead, behind : Tensor
+        Slope at the left and at the right end times h.
+    score, idle : Tensor
+        As in `_Gaps`.
+    parabola : Tensor
+        Whether both ends agree with a parabola.
+    """
+
+    width: Tensor
+    known: Tensor
+    piece: Tensor
+    breaks: Tensor
+    rise: Tensor
+    ahead: Tensor
+    behind: Tensor
+    score: Tensor
+    idle: Tensor
+    parabola: Tensor
+
+    @property
+    def off(self) -> Tensor:
+        """What the trapezoid of the slopes misses of the rise: 0 for a parabola."""
+        return self.rise - 0.5 * (self.ahead + self.behind)
+
+    @classmethod
+    def between(cls, seen: Seen, left: Tensor, right: Tensor, shape: Shape) -> Gap:
+        """The gaps from columns `left` to columns `right` (B, k)."""
+        h = seen.x.gather(1, right) - seen.x.gather(1, left)
+        piece = seen.piece.gather(1, left)
+        breaks = seen.piece.gather(1, right) - piece
+        known = torch.stack([left >= 2, right >= 2], dim=-1)
+        inside, smooth = known.all(dim=-1), breaks == 0
+        ahead, behind = h * seen.slope.gather(1, left), h * seen.slope.gather(1, right)
+        rise = seen.value.gather(1, right) - seen.value.gather(1, left)
+        off = rise - 0.5 * (ahead + behind)
+        spread, least = (2.0 * shape.jump) ** 2, (0.5 * shape.jump) ** 2
+        jump = torch.where(inside, off * off, spread).clamp_max(2.0 * spread) + least
+        # An end of [0, 1] is reached by a tangent, whose rise may be wrong.
+        tangent = (ahead + behind).square().clamp_max(spread) + least
+        bend = torch.where(inside, off * off, tangent)
+        noise = 1e-9 * (rise.abs() + ahead.abs() + behind.abs())
+        # Close samples may tell the law badly, so that a wide gap is worth a look once all breaks are found.
+        idle = 1e-8 * h * h
+        score = h * h / 12.0 * torch.where(smooth, bend, jump)
+        return cls(h, known, piece, breaks, rise, ahead, behind, score, idle, inside & smooth & (off.abs() <= noise))
+
+
+@dataclass(frozen=True)
 class _Gaps:
     """The gaps between neighbouring samples: tables of shape (B, n + 1).
 
-    `left` and `right` are columns of `_Seen`; `score` is the expected squared error of the integral over the gap,
+    `left` and `right` are columns of `Seen`; `score` is the expected squared error of the integral over the gap,
     `idle` what remains of it once the law of `piece` is settled.
     """
 
@@ -115,7 +176,7 @@ class ToySplit(Sampler):
         first = min(n, self.first)
         x = Stratified().points(problem.rows, first, 1, stream)
         looks = [problem.evaluate(x)]
-        seen, gaps = _Seen.empty(x, n), _Gaps.empty(x, n)
+        seen, gaps = Seen.empty(x, n), _Gaps.empty(x, n)
         seen.enter(2, x[..., 0], looks[0])
         column = torch.tensor([0, *range(2, first + 2), 1], device=x.device).expand(problem.batch, first + 2)
         self._fill(seen, gaps, slice(0, first + 1), column[:, :-1], column[:, 1:])
@@ -132,39 +193,13 @@ class ToySplit(Sampler):
             middle = torch.full_like(left, placed + 2)
             target = torch.cat([gap, torch.full_like(gap, placed + 1)], dim=1)
             self._fill(seen, gaps, (row, target), torch.cat([left, middle], dim=1), torch.cat([middle, right], dim=1))
-        return Samples(seen.x[:, 2:, None], _joined(looks), None, self.name)
+        return Samples(seen.x[:, 2:, None], Observation.join(looks), None, self.name)
 
-    def _fill(
-        self, seen: _Seen, gaps: _Gaps, where: slice | tuple[Tensor, Tensor], left: Tensor, right: Tensor
-    ) -> None:
+    def _fill(self, seen: Seen, gaps: _Gaps, where: slice | tuple[Tensor, Tensor], left: Tensor, right: Tensor) -> None:
         """Write the gaps between columns `left` and `right` (B, k) of the samples into the table."""
         at = where if isinstance(where, tuple) else (slice(None), where)
-        h = seen.x.gather(1, right) - seen.x.gather(1, left)
-        piece = seen.piece.gather(1, left)
-        breaks = seen.piece.gather(1, right) - piece
-        inside = (left >= 2) & (right >= 2)
-        slope_left, slope_right = seen.slope.gather(1, left), seen.slope.gather(1, right)
-        rise = seen.value.gather(1, right) - seen.value.gather(1, left)
-        off = rise - 0.5 * h * (slope_left + slope_right)
-        spread, least = (2.0 * self.shape.jump) ** 2, (0.5 * self.shape.jump) ** 2
-        jump = torch.where(inside, off * off, spread).clamp_max(2.0 * spread) + least
-        # An end of [0, 1] is reached by a tangent, whose rise may be wrong.
-        tangent = ((slope_left + slope_right) * h).square().clamp_max(spread) + least
-        bend = torch.where(inside, off * off, tangent)
-        smooth = breaks == 0
-        noise = 1e-9 * (rise.abs() + h * (slope_left.abs() + slope_right.abs()))
-        parabola = inside & smooth & (off.abs() <= noise)
-        seen.settled.scatter_add_(1, piece, 3.0 * parabola.to(h.dtype))
+        gap = Gap.between(seen, left, right, self.shape)
+        seen.settled.scatter_add_(1, gap.piece, 3.0 * gap.parabola.to(gap.width.dtype))
         gaps.left[at], gaps.right[at] = left, right
-        gaps.piece[at] = torch.where(smooth, piece, PIECES)
-        gaps.score[at] = h * h / 12.0 * torch.where(smooth, bend, jump)
-        # Close samples may tell the law badly, so that a wide gap is worth a look once all breaks are found.
-        gaps.idle[at] = 1e-8 * h * h
-
-
-def _joined(looks: list[Observation]) -> Observation:
-    """All looks as one, in order."""
-    features = {name: torch.cat([look.features[name] for look in looks], dim=1) for name in looks[0].features}
-    return Observation(
-        torch.cat([look.value for look in looks], dim=1), features, queries=sum(look.queries for look in looks)
-    )
+        gaps.piece[at] = torch.where(gap.breaks == 0, gap.piece, PIECES)
+        gaps.score[at], gaps.idle[at] = gap.score, gap.idle

@@ -10,23 +10,29 @@ import torch
 
 from nqr_geom import registry
 from nqr_geom.integrator.learn.inet import INet, LearnedRule
+from nqr_geom.integrator.learn.joint import JointRecipe
 from nqr_geom.integrator.learn.recipe import Recipe
 from nqr_geom.integrator.learn.run import RunFolder
+from nqr_geom.integrator.learn.snet import LearnedSampler
 from nqr_geom.integrator.learn.train import draw_batch
 from nqr_geom.integrator.learn.zoo import BLEND_SIZES, Card, checked, save
+from nqr_geom.integrator.samplers import Sampler
 
 __all__ = ["fit_shares", "measure_box", "publish"]
 
 _BLEND_SAMPLES = 2**18  # validation samples spent on each size
+_CANDIDATES = 21
 _LEAST_SHARE = 0.02  # below it the network is not worth its time
 
 
-def measure_box(recipe: Recipe, integrals: int = 2**15, seed: int = 0) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def measure_box(
+    recipe: Recipe, integrals: int = 2**15, seed: int = 0, sampler: Sampler | None = None
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Range of the checked quantities over training integrals, at all trained sizes."""
     low, high = [], []
     for n, _ in recipe.sizes:
         for rows in torch.arange(integrals).split(2**12):
-            seen = checked(draw_batch(recipe, rows, n, seed, "train")[1], recipe.extra)
+            seen = checked(draw_batch(recipe, rows, n, seed, "train", sampler)[1], recipe.extra)
             low.append(seen.amin(dim=(0, 1)))
             high.append(seen.amax(dim=(0, 1)))
     ends = torch.stack(low).amin(dim=0), torch.stack(high).amax(dim=0)
@@ -45,10 +51,17 @@ def faded(share: float, before: float) -> float:
 
 
 @torch.no_grad()
-def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, seed: int = 0) -> tuple[float, ...]:
+def fit_shares(
+    recipe: Recipe,
+    net: INet,
+    sizes: Sequence[int] = BLEND_SIZES,
+    seed: int = 0,
+    sampler: Sampler | None = None,
+) -> tuple[float, ...]:
     """Share of the network at each N that minimises the squared error on validation integrals.
 
-    Beyond the trained sizes shares only fall, and from the first negligible one on they are 0.
+    Behind a link the error is no parabola in the share, so the best of `_CANDIDATES` is taken. Beyond the trained sizes
+    shares only fall, and from the first negligible one on they are 0.
     """
     learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
     safe = registry.make("rule", recipe.consistent)
@@ -58,26 +71,34 @@ def fit_shares(recipe: Recipe, net: INet, sizes: Sequence[int] = BLEND_SIZES, se
         if shares and shares[-1] == 0.0:
             shares.append(0.0)
             continue
-        gain = total = 0.0
+        gain, total = 0.0, 0.0
+        tried = torch.zeros(_CANDIDATES)
         for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
-            batch, samples = draw_batch(recipe, rows, n, seed, "validation")
+            batch, samples = draw_batch(recipe, rows, n, seed, "validation", sampler)
             samples, link = batch.problem.finalize(samples)
-            mine, theirs = (link(rule.combine(samples).estimate(samples)) - batch.answer for rule in (learned, safe))
-            gain += float((theirs * (theirs - mine)).sum())
-            total += float((theirs - mine).square().sum())
-        share = min(1.0, max(0.0, gain / total)) if total > 0.0 else 0.0
+            combined = [rule.combine(samples) for rule in (learned, safe)]
+            link = combined[0].link or link
+            mine, theirs = (part.estimate(samples) for part in combined)
+            if link.name == "identity":
+                gain += float(((theirs - batch.answer) * (theirs - mine)).sum())
+                total += float((theirs - mine).square().sum())
+                continue
+            blends = [torch.lerp(theirs, mine, share) for share in torch.linspace(0.0, 1.0, _CANDIDATES).tolist()]
+            tried += torch.stack([(link(blend) - batch.answer).square().sum() for blend in blends])
+        best = float(tried.argmin()) / (_CANDIDATES - 1)
+        share = min(1.0, max(0.0, gain / total)) if total > 0.0 else best
         if n > trained:
             share = faded(share, shares[-1] if shares else 1.0)
         shares.append(share)
     return tuple(shares)
 
 
-def publish(recipe: Recipe, run: str | Path, folder: str | Path, command: str = "") -> Card:
-    """Make a model of a run's averaged weights.
+def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, command: str = "") -> Card:
+    """Make a model of a run's averaged weights; of joint training it holds both networks.
 
     Parameters
     ----------
-    recipe : Recipe
+    recipe : Recipe or JointRecipe
         What was trained.
     run : path
         Folder of the run.
@@ -103,28 +124,36 @@ def publish(recipe: Recipe, run: str | Path, folder: str | Path, command: str = 
     identity, trained = json.loads(state["identity"]), json.loads(state["train"])
     if identity["recipe"] != recipe.name:
         raise ValueError(f"run: expected a run of {recipe.name!r}, got one of {identity['recipe']!r}")
-    net = INet(recipe.config)
+    rule = recipe.rule if isinstance(recipe, JointRecipe) else recipe
+    snet, sampler = None, None
+    if isinstance(recipe, JointRecipe):
+        snet = recipe.snet()
+        snet.load_state_dict(state["sampler"]["average"])
+        sampler = LearnedSampler(snet.eval(), rule.problem)
+    net = INet(rule.config)
     net.load_state_dict(state["average"])
-    low, high = measure_box(recipe, seed=trained["seed"])
+    low, high = measure_box(rule, seed=trained["seed"], sampler=sampler, integrals=2**15 if snet is None else 2**12)
     card = Card(
-        name=recipe.name,
-        problem=recipe.problem,
-        base=recipe.base,
-        consistent=recipe.consistent,
-        config=recipe.config,
+        name=rule.name,
+        problem=rule.problem,
+        base=rule.base,
+        consistent=rule.consistent,
+        config=rule.config,
         iterations=state["iteration"],
         batch=trained["batch"],
         seed=trained["seed"],
         hours=round(state["seconds"] / 3600.0, 3),
         family={
-            "integrals": f"{recipe.family.__module__}.{recipe.family.__qualname__}",
-            "samples": {str(n): share for n, share in recipe.sizes},
-            "designs": list(recipe.designs),
+            "integrals": f"{rule.family.__module__}.{rule.family.__qualname__}",
+            "samples": {str(n): share for n, share in rule.sizes},
+            "designs": list(rule.designs) if snet is None else ["the sampling network"],
             "splits": {"weights": "train", "box": "train", "shares": "validation", "table": "test"},
         },
         low=low,
         high=high,
-        shares=fit_shares(recipe, net, seed=trained["seed"]),
+        shares=fit_shares(rule, net, seed=trained["seed"], sampler=sampler),
         command=command,
+        sampler=None if snet is None else snet.config,
+        group=trained.get("group", 0),
     )
-    return save(folder, net, card)
+    return save(folder, net, card, snet)

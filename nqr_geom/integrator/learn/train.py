@@ -19,13 +19,15 @@ from torch import Tensor
 
 from nqr_geom import check
 from nqr_geom.integrator.learn.inet import INet, INetConfig, correct
+from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
-from nqr_geom.integrator.problem import Samples
+from nqr_geom.integrator.problem import LogLink, Samples
+from nqr_geom.integrator.samplers import Sampler
 from nqr_geom.streams import Stream
 
-__all__ = ["TrainConfig", "draw_batch", "learning_rate", "loss", "train"]
+__all__ = ["TrainConfig", "draw_batch", "learning_rate", "loss", "residuals", "robust", "train"]
 
 
 @dataclass(frozen=True)
@@ -78,24 +80,15 @@ class TrainConfig:
         check.number("average", self.average, low=0.0, high=1.0)
 
 
-def learning_rate(config: TrainConfig, iteration: int) -> float:
-    """Warm-up, stable, decay.
-
-    Examples
-    --------
-    >>> config = TrainConfig(iterations=100, warmup=10, decay=20, rate=1.0)
-    >>> [learning_rate(config, i) for i in (0, 50, 90)]
-    [0.1, 1.0, 0.5]
-    """
-    rise = min(1.0, (iteration + 1) / max(config.warmup, 1))
-    fall = min(1.0, (config.iterations - iteration) / config.decay) if config.decay else 1.0
-    return config.rate * rise * fall
-
-
-def draw_batch(recipe: Recipe, rows: Tensor, n: int, seed: int, split: str) -> tuple[Batch, Samples]:
-    """Integrals and samples of the global `rows` (B,), sorted along x in one dimension."""
-    batch = recipe.family(rows, seed, split)
-    samples = draw_samples(batch.problem, recipe.designs, n, Stream(seed, split, "samples"))
+def draw_batch(
+    recipe: Recipe, rows: Tensor, n: int, seed: int, split: str, sampler: Sampler | None = None
+) -> tuple[Batch, Samples]:
+    """Integrals of the global `rows` (B,) and samples by the recipe's designs or a sampler, sorted in one dimension."""
+    batch, stream = recipe.family(rows, seed, split), Stream(seed, split, "samples")
+    if sampler is None:
+        samples = draw_samples(batch.problem, recipe.designs, n, stream)
+    else:
+        samples = sampler.draw(batch.problem, n, stream)
     return batch, sort_samples(samples)[0]
 
 
@@ -109,10 +102,7 @@ def draw_lesson(recipe: Recipe, rows: Tensor, n: int, seed: int) -> tuple[Batch,
     chosen = torch.arange(len(more)) if flags is None else flags.nonzero()[: len(rows), 0]
     if not len(chosen):
         chosen = torch.arange(1, device=rows.device)
-    problem = batch.problem.take(chosen)
-    x = samples.x[chosen]
-    pdf = None if samples.pdf is None else samples.pdf[chosen]
-    return Batch(problem, batch.answer[chosen]), Samples(x, problem.evaluate(x), pdf, samples.design)
+    return Batch(batch.problem.take(chosen), batch.answer[chosen]), samples.take(chosen)
 
 
 def _huber(error: Tensor, knee: float) -> Tensor:
@@ -123,14 +113,24 @@ def _huber(error: Tensor, knee: float) -> Tensor:
 def residuals(
     recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples
 ) -> tuple[Tensor, Tensor | None]:
-    """Errors of the corrected rule before and behind the link, (B, C) each; one and None where there is no link."""
+    """Errors of the corrected rule before and behind the link, (B, C) each; one and None where there is no link.
+
+    With the logarithm both are relative errors of the inner integral to first order, so that neither alpha nor the
+    distance weighs them: the inner error counts in units of the truth, or of the estimate where that is larger, and
+    -1/alpha stays out of the outer one, as in Eq. 56.
+    """
     samples, link = batch.problem.finalize(samples)
     tokens = tokenize(samples, recipe.config.tokens, recipe.extra)  # (B, N, T, width)
     b, n, t, width = tokens.shape
     raw = net(tokens.view(b, n * t, width)).view(b, n, t, -1)
-    inner = correct(raw, recipe.base_rule().combine(samples), samples, recipe.config).estimate(samples)
-    before = inner - inner_answer(batch.answer, link)
-    return before, None if link.name == "identity" else training_link(link, inner) - batch.answer
+    mine = correct(raw, recipe.base_rule().combine(samples), samples, recipe.config, recipe.extra)
+    inner, link = mine.estimate(samples), mine.link or link
+    truth = inner_answer(batch.answer, link)
+    if not isinstance(link, LogLink):
+        return inner - truth, None
+    return (inner - truth) / torch.maximum(truth, inner.detach()), link.alpha * (
+        training_link(link, inner) - batch.answer
+    )
 
 
 def robust(recipe: Recipe, before: Tensor, behind: Tensor | None) -> Tensor:
@@ -154,10 +154,11 @@ def validate(recipe: Recipe, net: INet, config: TrainConfig) -> tuple[float, flo
         tokens = tokenize(samples, recipe.config.tokens, recipe.extra).flatten(1, 2)
         raw = net(tokens).view(*samples.value.shape[:3], -1)
         base = recipe.base_rule().combine(samples)
-        pair = [link(c.estimate(samples)) for c in (correct(raw, base, samples, recipe.config), base)]
+        mine = correct(raw, base, samples, recipe.config, recipe.extra)
+        pair = [(c.link or link)(c.estimate(samples)) for c in (mine, base)]
         errors.append(torch.stack([(value - batch.answer).square().mean(dim=1) for value in pair]))
-    mine, theirs = torch.cat(errors, dim=1).mean(dim=1).tolist()
-    return mine, theirs
+    mse, base_mse = torch.cat(errors, dim=1).mean(dim=1).tolist()
+    return mse, base_mse
 
 
 def train(
@@ -183,8 +184,8 @@ def train(
     config : TrainConfig
         How long and how fast. A continuation may change the length and the rates, not the batch or the seed.
     start_from : path, optional
-        Run of another recipe with the same tokens, layers and width: a new run begins with its averaged weights, the
-        heads aside, which always start as the base rule.
+        Run of another recipe with the same layers, width and tokens, or with fewer of the application's quantities: a
+        new run begins with its averaged weights, the heads aside, which always start as the base rule.
     devices, num_nodes, accelerator, precision
         As for `lightning_fabric.Fabric`.
     progress : bool
@@ -200,72 +201,56 @@ def train(
     ValueError
         If the folder holds a run of another recipe, batch or seed.
     """
-    fabric = _fabric(devices, num_nodes, accelerator, precision)
+    fabric = launch(devices, num_nodes, accelerator, precision)
     run = RunFolder(Path(out))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         net = INet(recipe.config)
     if start_from is not None:
         _adopt(net, RunFolder(Path(start_from)).checkpoint)
-    average = INet(recipe.config)
-    average.load_state_dict(net.state_dict())
-    optimizer = torch.optim.AdamW(
-        net.parameters(), lr=config.rate, betas=(0.9, 0.98), weight_decay=config.weight_decay, fused=True
+    learner = Learner(
+        fabric, net, INet(recipe.config), config.rate, config.weight_decay, keep=config.average, clip=config.clip
     )
     state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
     start, seconds = 0, 0.0
     if state is not None:
         _refuse_other_run(state, recipe, config)
-        net.load_state_dict(state["net"])
-        average.load_state_dict(state["average"])
-        optimizer.load_state_dict(state["optimizer"])
+        learner.restore(state)
         start, seconds = state["iteration"], state["seconds"]
-    model, stepper = fabric.setup(net, optimizer)
-    average.to(fabric.device)
-    weights: list[Tensor] = list(net.parameters())
-    averaged: list[Tensor] = list(average.parameters())
+    learner.begin()
     began, losses = time.monotonic() - seconds, []
     sizes = Stream(config.seed, "train", "sizes")
-    with _Bar(progress and fabric.is_global_zero) as advance:
+    with Progress(progress and fabric.is_global_zero) as advance:
         for iteration in range(start, config.iterations):
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(config, iteration)
             rows = torch.arange(iteration * config.batch, (iteration + 1) * config.batch, device=fabric.device)
             rows = rows[fabric.global_rank :: fabric.world_size]
             batch, samples = draw_lesson(recipe, rows, recipe.size(sizes, iteration), config.seed)
-            value = loss(recipe, model, batch, samples)
-            fabric.backward(value)
-            fabric.clip_gradients(model, stepper, max_norm=config.clip, error_if_nonfinite=False)
-            stepper.step()
-            stepper.zero_grad()
-            keep = min(config.average, (1 + iteration) / (10 + iteration))
-            with torch.no_grad():
-                torch._foreach_lerp_(averaged, weights, 1.0 - keep)
+            value = loss(recipe, learner.model, batch, samples)
+            learner.step(value, learning_rate(config, iteration), iteration)
             losses.append(value.detach())
             done = iteration + 1
             if (done % config.every == 0 or done == config.iterations) and fabric.is_global_zero:
                 seconds = time.monotonic() - began
                 mean = torch.stack(losses).mean().item()
                 losses = []
-                run.log((done, seconds, learning_rate(config, iteration), mean, *validate(recipe, average, config)))
+                measured = validate(recipe, learner.average, config)
+                run.log((done, seconds, learning_rate(config, iteration), mean, *measured))
                 run.save(
                     {
                         "identity": _identity(recipe, config),
                         "train": json.dumps(asdict(config)),
                         "iteration": done,
                         "seconds": seconds,
-                        "net": net.state_dict(),
-                        "average": average.state_dict(),
-                        "optimizer": optimizer.state_dict(),
+                        **learner.state(),
                     }
                 )
             advance(done, config.iterations, losses)
     if fabric.is_global_zero:
         run.plot()
-    return average
+    return learner.average
 
 
-def _fabric(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
+def launch(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
     """The launched Fabric; more than one process train by distributed data parallelism."""
     module = check.require("lightning_fabric", "learn", "training runs")
     strategy = "ddp" if devices * num_nodes > 1 else "auto"
@@ -277,11 +262,15 @@ def _fabric(devices: int, num_nodes: int, accelerator: str, precision: str) -> A
 
 
 def _adopt(net: INet, checkpoint: Path) -> None:
-    """Copy everything but the heads from another run."""
+    """Copy everything but the heads from another run; token quantities beyond its own start with weight zero."""
     if not checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(checkpoint.parent)!r}")
     weights = torch.load(checkpoint, weights_only=True)["average"]
     own = {name: tensor for name, tensor in net.state_dict().items() if not name.startswith("head.")}
+    wide = own["embed_in.weight"]
+    known = weights.get("embed_in.weight", wide)
+    if known.shape[0] == wide.shape[0] and known.shape[1] < wide.shape[1]:
+        weights["embed_in.weight"] = torch.nn.functional.pad(known, (0, wide.shape[1] - known.shape[1]))
     wrong = [name for name, tensor in own.items() if name not in weights or weights[name].shape != tensor.shape]
     if wrong:
         raise ValueError(f"start_from: expected a run of the same tokens, layers and width, these differ: {wrong}")
@@ -305,7 +294,7 @@ def _refuse_other_run(state: dict[str, Any], recipe: Recipe, config: TrainConfig
             raise ValueError(f"out: expected a run with {name} {want}, found one with {have}")
 
 
-class _Bar:
+class Progress:
     """A rich progress bar, or none."""
 
     def __init__(self, show: bool) -> None:
@@ -314,9 +303,10 @@ class _Bar:
     def __enter__(self) -> Callable[[int, int, list[Tensor]], None]:
         if not self.show:
             return lambda done, total, losses: None
-        from rich.progress import Progress, TimeRemainingColumn
+        from rich import progress
 
-        self.progress = Progress(*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+        columns = progress.Progress.get_default_columns()[:-1]
+        self.progress = progress.Progress(*columns, progress.TimeRemainingColumn())
         self.progress.start()
         task = self.progress.add_task("training")
 

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from nqr_geom import check, registry
 from nqr_geom.integrator.learn.card_page import page
 from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule
 from nqr_geom.integrator.learn.recipe import Recipe
+from nqr_geom.integrator.learn.snet import LearnedSampler, SNet, SNetConfig
 from nqr_geom.integrator.learn.tokens import Extra, sort_samples
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
@@ -29,6 +30,7 @@ __all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save", "write_car
 
 BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _MARGIN = 0.1  # of the trained range, beyond either end
+_SAMPLER = "sampler."  # begins the names of a sampling network's weights
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,10 @@ class Card:
         What made the weights, and what measured them.
     sha256 : str
         Of the weights file.
+    sampler : SNetConfig, optional
+        Architecture of the sampling network that was trained with it; its weights lie in the same file.
+    group : int
+        Sequences for an integral in joint training.
     """
 
     name: str
@@ -76,10 +82,17 @@ class Card:
     table: dict[str, Any] = field(default_factory=dict)
     command: str = ""
     sha256: str = ""
+    sampler: SNetConfig | None = None
+    group: int = 0
 
     def to_json(self) -> str:
         """The card as JSON text; `from_json` is its inverse."""
-        return json.dumps({**asdict(self), "config": self.config.to_dict()}, indent=1) + "\n"
+        data = {**asdict(self), "config": self.config.to_dict()}
+        if self.sampler is None:
+            del data["sampler"], data["group"]
+        else:
+            data["sampler"] = self.sampler.to_dict()
+        return json.dumps(data, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> Card:
@@ -87,6 +100,8 @@ class Card:
         data = json.loads(text)
         for name in ("low", "high", "sizes", "shares"):
             data[name] = tuple(data[name])
+        if "sampler" in data:
+            data["sampler"] = SNetConfig.from_dict(data["sampler"])
         return cls(**{**data, "config": INetConfig.from_dict(data["config"])})
 
     def share(self, n: int) -> float:
@@ -108,12 +123,15 @@ class Card:
         return self.shares[0]
 
 
-def save(folder: str | Path, net: INet, card: Card) -> Card:
+def save(folder: str | Path, net: INet, card: Card, sampler: SNet | None = None) -> Card:
     """Write NAME.safetensors, NAME.json and NAME.md; returns the card with the hash of the weights."""
     safetensors = check.require("safetensors.torch", "learn", "models")
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    weights = safetensors.save({name: tensor.contiguous() for name, tensor in net.state_dict().items()})
+    tensors = dict(net.state_dict())
+    if sampler is not None:
+        tensors |= {_SAMPLER + name: tensor for name, tensor in sampler.state_dict().items()}
+    weights = safetensors.save({name: tensor.contiguous() for name, tensor in tensors.items()})
     card = Card(**{**vars(card), "sha256": hashlib.sha256(weights).hexdigest()})
     (folder / f"{card.name}.safetensors").write_bytes(weights)
     write_card(folder, card)
@@ -124,6 +142,37 @@ def write_card(folder: str | Path, card: Card) -> None:
     """Write NAME.json and, for people, NAME.md."""
     (Path(folder) / f"{card.name}.json").write_text(card.to_json())
     (Path(folder) / f"{card.name}.md").write_text(page(card))
+
+
+def _read(folder: str | Path, name: str) -> tuple[Card, dict[str, Tensor]]:
+    """Card and weights of a model, checked against each other."""
+    safetensors = check.require("safetensors.torch", "learn", "models")
+    paths = [Path(folder) / f"{name}{suffix}" for suffix in (".json", ".safetensors")]
+    missing = [path.name for path in paths if not path.exists()]
+    if missing:
+        raise ValueError(f"recipe: expected a trained model {name!r}, {' and '.join(missing)} not there")
+    card, weights = Card.from_json(paths[0].read_text()), paths[1].read_bytes()
+    digest = hashlib.sha256(weights).hexdigest()
+    if digest != card.sha256:
+        raise ValueError(f"card: expected weights with sha256 {card.sha256}, got {digest}")
+    return card, safetensors.load(weights)
+
+
+def _agree(card: Card, *wanted: tuple[str, object, object]) -> None:
+    for name, mine, theirs in wanted:
+        if mine != theirs:
+            raise ValueError(f"card: expected {name} {mine}, got {theirs}")
+
+
+def _fill(net: nn.Module, tensors: dict[str, Tensor]) -> None:
+    """Load weights into a network of the same architecture."""
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    expected = {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
+    if shapes != expected:
+        wrong = sorted(shapes.items() ^ expected.items())
+        raise ValueError(f"card: expected weights of the shapes of its architecture, these differ: {wrong}")
+    net.load_state_dict(tensors)
+    net.eval()
 
 
 def load(folder: str | Path, recipe: Recipe) -> Model:
@@ -141,34 +190,39 @@ def load(folder: str | Path, recipe: Recipe) -> Model:
     ValueError
         If there is no such model, or card, weights and recipe do not belong together.
     """
-    safetensors = check.require("safetensors.torch", "learn", "models")
-    folder = Path(folder)
-    paths = [folder / f"{recipe.name}{suffix}" for suffix in (".json", ".safetensors")]
-    missing = [path.name for path in paths if not path.exists()]
-    if missing:
-        raise ValueError(f"recipe: expected a trained model {recipe.name!r}, {' and '.join(missing)} not there")
-    card, weights = Card.from_json(paths[0].read_text()), paths[1].read_bytes()
-    digest = hashlib.sha256(weights).hexdigest()
-    if digest != card.sha256:
-        raise ValueError(f"card: expected weights with sha256 {card.sha256}, got {digest}")
-    for name, mine, theirs in (
+    card, tensors = _read(folder, recipe.name)
+    _agree(
+        card,
         ("config", recipe.config, card.config),
         ("base", recipe.base, card.base),
         ("consistent", recipe.consistent, card.consistent),
         ("checked quantities", len(recipe.extra.checked) if recipe.extra else 0, len(card.low)),
-    ):
-        if mine != theirs:
-            raise ValueError(f"card: expected {name} {mine}, got {theirs}")
+    )
     net = INet(card.config)
-    tensors = safetensors.load(weights)
-    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    expected = {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
-    if shapes != expected:
-        wrong = sorted(shapes.items() ^ expected.items())
-        raise ValueError(f"card: expected weights of the shapes of its architecture, these differ: {wrong}")
-    net.load_state_dict(tensors)
-    learned = LearnedRule(net.eval(), recipe.base_rule(), recipe.extra)
+    _fill(net, {name: tensor for name, tensor in tensors.items() if not name.startswith(_SAMPLER)})
+    learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
     return Model(card, learned, registry.make("rule", card.consistent), recipe.sees)
+
+
+def load_sampler(folder: str | Path, name: str, net: SNet) -> LearnedSampler:
+    """The sampling network of a pair from the file of its integrator.
+
+    Parameters
+    ----------
+    folder, name
+        As for `load`; `name` is the pair's.
+    net : SNet
+        A fresh network of its recipe, which gets the weights.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model, or card, weights and recipe do not belong together.
+    """
+    card, tensors = _read(folder, name)
+    _agree(card, ("sampler", net.config, card.sampler))
+    _fill(net, {key.removeprefix(_SAMPLER): value for key, value in tensors.items() if key.startswith(_SAMPLER)})
+    return LearnedSampler(net, card.problem, name=f"snet-{name}")
 
 
 def checked(samples: Samples, extra: Extra | None) -> Tensor:

@@ -1,0 +1,122 @@
+"""What a gap between samples on a curve shows to a sampling network: its size, seen from the query."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from nqr_geom.curves import hermite
+from nqr_geom.integrator.learn.gaps import Gaps
+from nqr_geom.integrator.problem import Observation, Problem, Samples
+
+__all__ = ["CurveGaps"]
+
+_UNSEEN = 4.0  # size over distance that a gap counts with before either end is known
+_NEAREST = 0.1  # sizes over distance beyond the inverse of this are all alike
+_TINY = 1e-280
+
+
+def _log(ratio: Tensor) -> Tensor:
+    return ratio.clamp(1e-12, 1e12).log() / 3.0
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _turn(a: Tensor, b: Tensor) -> Tensor:
+    """Angle from a to b in turns of pi."""
+    return torch.atan2(_cross(a, b), (a * b).sum(-1)) / math.pi
+
+
+class CurveGaps(Gaps):
+    """Gaps within the pieces of a curve; `worth` is how large a gap looks from the query.
+
+    Lengths are measured in distances from the query and directions against the line of sight, so nothing depends on
+    the place, the size or the direction of curve and query together.
+
+    Parameters
+    ----------
+    problem : Problem
+        On curves.
+    n : int
+        Samples that will be placed.
+
+    Raises
+    ------
+    ValueError
+        If the problem is not one on curves.
+    """
+
+    size: ClassVar[int] = 17
+
+    def __init__(self, problem: Problem, n: int) -> None:
+        pieces = getattr(getattr(problem, "shapes", None), "pieces", None)
+        if pieces is None:
+            raise ValueError(f"sampler: expected a problem on curves, got {problem.name!r}")
+        self.pieces = pieces[problem.shape][:, None].double()  # type: ignore[attr-defined]
+        walls = torch.arange(int(self.pieces.max()) + 1, device=problem.rows.device) / self.pieces
+        super().__init__(problem, n, walls.clamp_max(1.0))
+        slots = self.open.shape
+        self.known = torch.zeros(*slots, 2, dtype=torch.bool, device=walls.device)
+        self.r, self.t = walls.new_zeros(2, *slots, 2, 2).unbind()
+        self.looks = walls.new_full(slots, _UNSEEN)
+        self._fill(slice(0, self.start))
+
+    def worth(self) -> Tensor:
+        return self.looks[:, : self.used].log()
+
+    def enter(self, slot: Tensor, x: Tensor, seen: Observation, new: slice) -> None:
+        at = torch.arange(len(x), device=x.device)
+        r = seen.features["relative"][:, 0, 0]
+        t = hermite.tangents(Samples(x[:, None, None], seen, None, "snet"), "snet")[:, 0]
+        for table, value in ((self.r, r), (self.t, t)):
+            table[:, new] = torch.stack([table[at, slot], value[:, None].expand_as(table[at, slot])], dim=1)
+            # The new sample is the right end of the left part and the left end of the right one.
+            table[:, new.start, 1], table[:, new.start + 1, 0] = value, value
+            table[:, new.start + 1, 1] = table[at, slot, 1]
+        self.known[:, new.start, 0], self.known[:, new.start, 1] = self.known[at, slot, 0], True
+        self.known[:, new.start + 1, 0], self.known[:, new.start + 1, 1] = True, self.known[at, slot, 1]
+        self._fill(new)
+
+    def _fill(self, new: slice) -> None:
+        h = (self.right[:, new] - self.left[:, new]).clamp_min(0.0)
+        known, r, t = self.known[:, new], self.r[:, new], self.t[:, new]
+        ends, both, some = known.sum(dim=-1), known.all(dim=-1), known.any(dim=-1)
+        speed = torch.linalg.vector_norm(t, dim=-1).clamp_min(_TINY)
+        distance = torch.linalg.vector_norm(r, dim=-1).clamp_min(_TINY)
+        length = h * (speed * known).sum(dim=-1) / ends.clamp_min(1)
+        # Of an end that is not known, the tangent of the other one tells.
+        h2 = h[..., None]
+        start = torch.where(known[..., 0, None], r[..., 0, :], r[..., 1, :] - h2 * t[..., 1, :])
+        end = torch.where(known[..., 1, None], r[..., 1, :], r[..., 0, :] + h2 * t[..., 0, :])
+        guess = torch.stack([start, end], dim=-2)
+        bend = h2 * (t[..., 0, :] - t[..., 1, :]) / 8.0
+        middle = guess.mean(dim=-2) + torch.where(both[..., None], bend, 0.0)
+        points = torch.cat([guess, middle[..., None, :]], dim=-2)
+        nearest = torch.linalg.vector_norm(points, dim=-1).amin(dim=-1).clamp_min(_TINY)
+        looks = length / (nearest + _NEAREST * length).clamp_min(_TINY) * torch.where(both, 1.0, 2.0)
+        # Its share of the piece counts too: far pieces want a few samples as well.
+        self.looks[:, new] = (torch.where(some, looks, _UNSEEN) + h * self.pieces).clamp_min(1e-12)
+        unit_t, sight = t / speed[..., None], r / distance[..., None]
+        along, across = (unit_t * sight).sum(dim=-1), _cross(sight, unit_t)
+        zero = h.new_zeros(())
+        parts = [
+            _log(h * self.pieces),
+            *known.double().unbind(dim=-1),
+            torch.where(some, _log(length / nearest), zero),
+            *torch.where(known, _log(length[..., None] / distance), zero).unbind(dim=-1),
+            *torch.where(known, along, zero).unbind(dim=-1),
+            *torch.where(known, across, zero).unbind(dim=-1),
+            torch.where(both, _turn(r[..., 0, :], r[..., 1, :]), zero),
+            torch.where(both, _turn(t[..., 0, :], t[..., 1, :]), zero),
+            torch.where(both, _turn(r[..., 0, :], middle), zero),
+            torch.where(both, _turn(middle, r[..., 1, :]), zero),
+            torch.where(both, _log(distance[..., 0] / distance[..., 1]), zero),
+            self.looks[:, new].log() / 3.0,
+            h * self.pieces,
+        ]
+        self.features[:, new] = torch.stack(parts, dim=-1).float()

@@ -1,0 +1,264 @@
+"""Joint training of the sampling and the integration network (Listing 1).
+
+Every iteration the sampler places G sequences for each integral. The integrator learns from all of them by mean
+squared error; the sampler by how much better than its group each sequence did (group-relative policy optimisation).
+Neither the integrand nor the choice of a sample is differentiated.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nqr_geom import check, registry
+from nqr_geom.integrator.learn.gaps import Gaps
+from nqr_geom.integrator.learn.inet import INet, LearnedRule
+from nqr_geom.integrator.learn.learner import Learner, learning_rate
+from nqr_geom.integrator.learn.recipe import Batch, Recipe
+from nqr_geom.integrator.learn.run import RunFolder
+from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetConfig
+from nqr_geom.integrator.learn.tokens import sort_samples
+from nqr_geom.integrator.learn.train import Progress, draw_batch, launch, residuals, robust
+from nqr_geom.integrator.problem import Problem
+from nqr_geom.integrator.rules import Rule
+from nqr_geom.streams import Stream
+
+__all__ = ["JointConfig", "JointRecipe", "advantages", "train_jointly"]
+
+_EPS = 1e-12  # of an advantage: far below any squared error worth learning from
+
+
+@dataclass(frozen=True)
+class JointRecipe:
+    """How a pair of networks is made.
+
+    Parameters
+    ----------
+    rule : Recipe
+        The integrator; its name is the pair's.
+    begin : str
+        Recipe whose trained network the integrator begins with; the two differ in name and sizes only.
+    sampler : SNetConfig
+        The sampling network.
+    gaps : callable, optional
+        (problem, n) to what its gap head chooses among.
+    """
+
+    rule: Recipe
+    begin: str
+    sampler: SNetConfig
+    gaps: Callable[[Problem, int], Gaps] | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the pair."""
+        return self.rule.name
+
+    def snet(self) -> SNet:
+        """A fresh sampling network: its base sampler."""
+        return SNet(self.sampler, self.gaps)
+
+
+@dataclass(frozen=True)
+class JointConfig:
+    """How long and how fast; what is not said here is as in `TrainConfig`.
+
+    Parameters
+    ----------
+    iterations : int
+        Of the whole run.
+    batch, group : int
+        Integrals an iteration (over all devices) and sequences for each.
+    rate, sampler_rate : float
+        Highest learning rates of the integrator and of the sampler.
+    """
+
+    iterations: int
+    batch: int = 32
+    group: int = 8
+    rate: float = 5e-4
+    sampler_rate: float = 5e-4
+    warmup: int = 200
+    decay: int = 0
+    clip: float = 1.0
+    average: float = 0.998
+    weight_decay: float = 0.01
+    every: int = 250
+    validation: int = 1024
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("iterations", "batch", "every", "validation"):
+            check.integer(name, getattr(self, name), low=1)
+        check.integer("group", self.group, low=2)
+        for name in ("warmup", "decay"):
+            check.integer(name, getattr(self, name), low=0)
+        for name in ("rate", "sampler_rate"):
+            check.number(name, getattr(self, name), low=0.0, open_low=True)
+        check.number("average", self.average, low=0.0, high=1.0)
+
+
+def advantages(error: Tensor) -> Tensor:
+    """How much better than its group each sequence did, in standard deviations, for squared errors (B, G).
+
+    Examples
+    --------
+    >>> advantages(torch.tensor([[1.0, 3.0], [2.0, 2.0]]))
+    tensor([[ 1., -1.],
+            [-0., -0.]])
+    """
+    spread = error.std(dim=1, correction=0, keepdim=True)
+    return -(error - error.mean(dim=1, keepdim=True)) / (spread + _EPS)
+
+
+def roll_out(recipe: JointRecipe, net: SNet, rows: Tensor, n: int, config: JointConfig) -> tuple[Batch, Rollout]:
+    """Integrals of the global `rows` (B,), each `group` times, and as many sequences of n samples."""
+    batch = recipe.rule.family(rows, config.seed, "train")
+    index = torch.arange(len(rows), device=rows.device).repeat_interleave(config.group)
+    member = torch.arange(config.group, device=rows.device).repeat(len(rows))
+    keys = rows[index] * config.group + member
+    repeated = Batch(batch.problem.take(index), batch.answer[index])
+    with torch.no_grad():
+        return repeated, net.sample(repeated.problem, n, Stream(config.seed, "train", "rollouts"), keys)
+
+
+@torch.no_grad()
+def validate(recipe: JointRecipe, snet: SNet, rule: Rule, config: JointConfig) -> float:
+    """Mean squared error of a sampling network and a rule on the validation split."""
+    sampler = LearnedSampler(snet)
+    errors = []
+    for rows in torch.arange(config.validation).split(1024):
+        batch, samples = draw_batch(recipe.rule, rows, recipe.rule.sizes[0][0], config.seed, "validation", sampler)
+        samples, link = batch.problem.finalize(samples)
+        errors.append((link(rule.combine(samples).estimate(samples)) - batch.answer).square().mean(dim=1))
+    return torch.cat(errors).mean().item()
+
+
+def train_jointly(
+    recipe: JointRecipe,
+    out: str | Path,
+    config: JointConfig,
+    *,
+    start_from: str | Path | None = None,
+    devices: int = 1,
+    num_nodes: int = 1,
+    accelerator: str = "cpu",
+    precision: str = "bf16-mixed",
+    progress: bool = True,
+) -> tuple[INet, SNet]:
+    """Train a pair, or go on with a run that was begun in the same folder.
+
+    Parameters
+    ----------
+    recipe : JointRecipe
+        What to train.
+    out : path
+        Folder of the run, as for `train`.
+    config : JointConfig
+        How long and how fast. A continuation may change the length and the rates, not batch, group or seed.
+    start_from : path, optional
+        Run of the recipe `recipe.begin`: a new run begins with its averaged network.
+    devices, num_nodes, accelerator, precision
+        As for `lightning_fabric.Fabric`.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    INet, SNet
+        With the averaged weights.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds a run of another recipe, batch, group or seed, or `start_from` none of `recipe.begin`.
+    """
+    fabric = launch(devices, num_nodes, accelerator, precision)
+    run = RunFolder(Path(out))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        inet, snet = INet(recipe.rule.config), recipe.snet()
+    base = validate(recipe, recipe.snet(), registry.make("rule", recipe.rule.consistent), config)
+    if start_from is not None:
+        _adopt(inet, RunFolder(Path(start_from)), recipe.begin)
+    common = {"weight_decay": config.weight_decay, "keep": config.average, "clip": config.clip}
+    integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, **common)
+    sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, **common)
+    state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
+    start, seconds = 0, 0.0
+    if state is not None:
+        _refuse_other_run(state, recipe, config)
+        integrator.restore(state)
+        sampler.restore(state["sampler"])
+        start, seconds = state["iteration"], state["seconds"]
+    for learner in (integrator, sampler):
+        learner.begin()
+    began, losses = time.monotonic() - seconds, []
+    sizes = Stream(config.seed, "train", "sizes")
+    with Progress(progress and fabric.is_global_zero) as advance:
+        for iteration in range(start, config.iterations):
+            rows = torch.arange(iteration * config.batch, (iteration + 1) * config.batch, device=fabric.device)
+            rows = rows[fabric.global_rank :: fabric.world_size]
+            lesson, rollout = roll_out(recipe, snet, rows, recipe.rule.size(sizes, iteration), config)
+            errors = residuals(recipe.rule, integrator.model, lesson, sort_samples(rollout.samples)[0])
+            value = robust(recipe.rule, *errors)
+            rate = learning_rate(config, iteration)
+            integrator.step(value, rate, iteration)
+            outcome = errors[0] if errors[1] is None else errors[1]
+            gain = advantages(outcome.detach().square().mean(dim=1).view(len(rows), config.group)).flatten()
+            likelihood = sampler.model(rollout).mean(dim=1)
+            sampler.step(-(gain * likelihood).mean(), rate * config.sampler_rate / config.rate, iteration)
+            losses.append(value.detach())
+            done = iteration + 1
+            if (done % config.every == 0 or done == config.iterations) and fabric.is_global_zero:
+                seconds = time.monotonic() - began
+                mean = torch.stack(losses).mean().item()
+                losses = []
+                rule = LearnedRule(integrator.average, recipe.rule.base_rule(), recipe.rule.extra)
+                run.log((done, seconds, rate, mean, validate(recipe, sampler.average, rule, config), base))
+                run.save(
+                    {
+                        "identity": _identity(recipe, config),
+                        "train": json.dumps(asdict(config)),
+                        "iteration": done,
+                        "seconds": seconds,
+                        **integrator.state(),
+                        "sampler": sampler.state(),
+                    }
+                )
+            advance(done, config.iterations, losses)
+    if fabric.is_global_zero:
+        run.plot()
+    return integrator.average, sampler.average
+
+
+def _adopt(net: INet, run: RunFolder, name: str) -> None:
+    """Take over the averaged weights of a run, heads included."""
+    if not run.checkpoint.exists():
+        raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(run.checkpoint.parent)!r}")
+    state = torch.load(run.checkpoint, weights_only=True)
+    found = json.loads(state["identity"])["recipe"]
+    if found != name:
+        raise ValueError(f"start_from: expected a run of {name!r}, found one of {found!r}")
+    net.load_state_dict(state["average"])
+
+
+def _identity(recipe: JointRecipe, config: JointConfig) -> str:
+    """What must not change when a run is continued, as JSON."""
+    identity = {"recipe": recipe.name, "batch": config.batch, "group": config.group, "seed": config.seed}
+    return json.dumps({**identity, "config": recipe.rule.config.to_dict(), "sampler": recipe.sampler.to_dict()})
+
+
+def _refuse_other_run(state: dict[str, Any], recipe: JointRecipe, config: JointConfig) -> None:
+    """Raise unless the checkpoint belongs to this recipe, batch, group and seed."""
+    found, wanted = json.loads(state["identity"]), json.loads(_identity(recipe, config))
+    for name, want in wanted.items():
+        if found.get(name) != want:
+            raise ValueError(f"out: expected a run with {name} {want}, found one with {found.get(name)}")

@@ -1,0 +1,215 @@
+"""The sampling network: its densities, its base samplers, and that nothing depends on the batch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+
+import nqr_geom as ng
+from nqr_geom import registry
+from nqr_geom.curves.gaps import CurveGaps
+from nqr_geom.curves.training import gwn_batch
+from nqr_geom.integrator.learn.gaps import Gaps
+from nqr_geom.integrator.learn.snet import LearnedSampler, SNet, SNetConfig
+from nqr_geom.integrator.learn.tokens import TokenConfig
+from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema
+from nqr_geom.integrator.rules import MonteCarlo
+from nqr_geom.recipes import JOINT
+from nqr_geom.streams import Stream
+from nqr_geom.toy.gaps import ToyGaps
+from nqr_geom.toy.problem import ToyProblem
+
+STREAM = Stream(3, "validation")
+GRID = SNetConfig(JOINT["toy-nqr"].sampler.tokens, head="grid", grid=((16,),))
+NETS = {name: recipe.snet for name, recipe in JOINT.items()} | {"toy-grid": lambda: SNet(GRID)}
+
+
+def problem_of(name: str, n: int) -> Problem:
+    rows = torch.arange(n)
+    return gwn_batch(rows, 5, "validation").problem if name.startswith("gwn") else ToyProblem(rows, 5, "validation")
+
+
+def disturbed(net: SNet, size: float = 0.5) -> SNet:
+    """The network with random weights everywhere, the zero-initialised ones included."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(1)
+        for parameter in net.parameters():
+            parameter.data.add_(size * torch.randn_like(parameter) / math.sqrt(parameter.shape[-1]))
+    return net.eval()
+
+
+class Cube(Problem):
+    """A smooth function of six variables: for the grid head in more than one dimension."""
+
+    name, dim, schema = "cube", 6, Schema()
+
+    def __init__(self, rows: torch.Tensor) -> None:
+        self.rows = rows
+
+    def evaluate(self, x: torch.Tensor) -> Observation:
+        return Observation(x.sum(dim=2)[..., None, None].exp(), queries=x.shape[0] * x.shape[1])
+
+    def take(self, index: slice | torch.Tensor) -> Cube:
+        return Cube(self.rows[index])
+
+
+@pytest.mark.parametrize("name", NETS)
+@pytest.mark.parametrize("trained", [False, True])
+def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:
+    net = disturbed(NETS[name]()) if trained else NETS[name]().eval()
+    with torch.no_grad():
+        rollout = net.sample(problem_of(name, 40), 24, STREAM)
+        scored = net.log_prob(rollout)
+    drawn = rollout.samples.pdf
+    assert drawn is not None
+    assert torch.isfinite(scored).all()
+    assert_allclose(scored.double().exp(), drawn[..., 0], rtol=2e-4)
+    assert drawn.min() >= 0.999 * net.config.floor
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_the_density_is_that_of_the_points(name: str) -> None:
+    """1/p of a point averages to one, and probabilities of its place are uniform, whatever the network says."""
+    net = disturbed(NETS[name]())
+    problem = problem_of(name, 1).take(torch.zeros(4096, dtype=torch.int64))
+    keys = torch.arange(4096)
+    with torch.no_grad():
+        samples = net.sample(problem, 3, STREAM, keys).samples
+    assert samples.pdf is not None
+    for i in range(3):
+        p, x = samples.pdf[:, i, 0].numpy(), samples.x[:, i, 0].numpy()
+        # The integral of g over [0, 1] by importance sampling, for three g whose integrals are known.
+        for g, exact in ((np.ones_like(x), 1.0), (x, 0.5), ((x > 0.3).astype(float), 0.7)):
+            terms = g / p
+            assert abs(terms.mean() - exact) < 4.5 * terms.std() / 64.0
+
+
+def test_an_untrained_pair_of_the_papers_form_is_uniform() -> None:
+    net = JOINT["toy-nqr-uniform"].snet()
+    with torch.no_grad():
+        samples = net.sample(problem_of("toy", 256), 8, STREAM).samples
+    assert samples.pdf is not None
+    assert_allclose(samples.pdf, 1.0, atol=2e-6)
+    assert stats.kstest(samples.x[:, 7, 0].numpy(), "uniform").pvalue > 1e-3
+
+
+def test_an_untrained_network_comes_near_the_structured_sampler() -> None:
+    problem = ToyProblem(torch.arange(512), 5, "validation")
+    truth, rule = torch.as_tensor(problem.reference()), registry.make("rule", "toy-hermite")
+    with torch.no_grad():
+        mine, theirs, uniform = (
+            (rule.combine(s).estimate(s) - truth).square().mean().item()
+            for s in (
+                JOINT["toy-nqr"].snet().sample(problem, 32, STREAM).samples,
+                registry.make("sampler", "toy-split").draw(problem, 32, STREAM),
+                registry.make("sampler", "random").draw(problem, 32, STREAM),
+            )
+        )
+    assert mine < 4.0 * theirs < 1e-2 * uniform
+
+
+@pytest.mark.parametrize("name", NETS)
+def test_an_integral_sees_the_same_samples_in_any_batch(name: str) -> None:
+    sampler = LearnedSampler(disturbed(NETS[name]()))
+    problem = problem_of(name, 300)
+    whole = sampler.draw(problem, 12, STREAM)
+    for part in (slice(0, 1), slice(70, 71), slice(250, 300), torch.tensor([299, 3, 120])):
+        alone = sampler.draw(problem.take(part), 12, STREAM)
+        assert_array_equal(alone.x, whole.x[part])
+        assert alone.pdf is not None
+        assert whole.pdf is not None
+        assert_array_equal(alone.pdf, whole.pdf[part])
+
+
+def test_beyond_what_the_network_places_points_are_stratified() -> None:
+    sampler = LearnedSampler(JOINT["toy-nqr"].snet(), most=8)
+    problem = problem_of("toy", 5)
+    samples = sampler.draw(problem, 40, STREAM)
+    assert_array_equal(samples.x[:, :8], sampler.draw(problem, 8, STREAM).x)
+    assert_array_equal((samples.x[:, 8:, 0] * 32).long(), torch.arange(32).expand(5, 32))
+    assert samples.pdf is not None
+    assert samples.value.shape == (5, 40, 1, 1)
+    assert samples.seen.queries == 5 * 40
+
+
+def test_a_grid_in_six_dimensions_with_two_groups() -> None:
+    config = SNetConfig(TokenConfig(dim=6), head="grid", grid=((4, 4, 4), (4, 4, 4)))
+    net = disturbed(SNet(config))
+    problem = Cube(torch.arange(2048))
+    with torch.no_grad():
+        rollout = net.sample(problem, 6, STREAM)
+        scored = net.log_prob(rollout)
+    samples = rollout.samples
+    assert samples.pdf is not None
+    assert samples.x.min() >= 0.0
+    assert samples.x.max() < 1.0
+    assert_allclose(scored.double().exp(), samples.pdf[..., 0], rtol=2e-4)
+    assert samples.pdf.std() > 0.1
+    terms = (samples.value[..., 0, 0] / samples.pdf[..., 0]).flatten().numpy()
+    assert abs(terms.mean() - (math.e - 1.0) ** 6) < 4.5 * terms.std() / math.sqrt(len(terms))
+
+
+def test_monte_carlo_on_its_samples_is_unbiased() -> None:
+    net = disturbed(JOINT["toy-nqr-uniform"].snet(), 0.2)
+    problem = problem_of("toy", 1).take(torch.zeros(4096, dtype=torch.int64))
+    with torch.no_grad():
+        samples = net.sample(problem, 16, STREAM, torch.arange(4096)).samples
+    means = MonteCarlo().combine(samples).estimate(samples)[:, 0].numpy()
+    assert abs(means.mean() - problem.reference()[0, 0]) < 4.5 * means.std() / 64.0
+
+
+@pytest.mark.parametrize("maker", [ToyGaps, CurveGaps], ids=["toy", "curve"])
+def test_gaps_tile_the_interval(maker: type[Gaps]) -> None:
+    problem = problem_of("toy" if maker is ToyGaps else "gwn", 20)
+    gaps = maker(problem, 10)
+    for i in range(10):
+        x = STREAM.uniform(problem.rows, torch.tensor(i))
+        slot = gaps.containing(x)
+        at = torch.arange(20)
+        assert ((gaps.left[at, slot] <= x) & (x < gaps.right[at, slot])).all()
+        beside = gaps.cut(slot, x, problem.evaluate(x[:, None, None]))
+        assert beside.shape == (20, 2 * maker.size)
+        assert torch.isfinite(beside).all()
+        width = torch.where(gaps.open, gaps.right - gaps.left, 0.0)
+        assert_allclose(width.sum(dim=1), 1.0, atol=1e-14)
+        assert torch.isfinite(gaps.worth()).all()
+        assert (gaps.open.sum(dim=1) - gaps.open[:, : gaps.start].sum(dim=1)).max() <= 2 * (i + 1)
+
+
+def test_gaps_on_curves_do_not_see_place_size_or_direction() -> None:
+    curve = ng.datasets.curves(1, seed=4)[0]
+    turn = 2.5 * np.array([[0.6, -0.8], [0.8, 0.6]])
+    points = np.array([[0.1, 0.2], [0.5, -0.3]])
+    moved = curve.transformed(turn, [3.0, -1.0])
+    features = []
+    for c, p in ((curve, points), (moved, points @ turn.T + [3.0, -1.0])):
+        problem = ng.problems.gwn(c, p)
+        gaps = CurveGaps(problem, 4)
+        for x in (0.05, 0.3, 0.32, 0.9):
+            at = torch.full((2,), x, dtype=torch.float64)
+            gaps.cut(gaps.containing(at), at, problem.evaluate(at[:, None, None]))
+        features.append(gaps.features)
+    assert_allclose(features[0], features[1], atol=2e-5)
+
+
+def test_bad_arguments_are_named() -> None:
+    tokens = TokenConfig(features=(Feature("piece", "index", levels=5),))
+    with pytest.raises(ValueError, match="floor: expected"):
+        SNetConfig(tokens, gap_size=3, floor=0.0)
+    with pytest.raises(ValueError, match="head: 'gap' needs one dimension"):
+        SNetConfig(replace(tokens, dim=2), gap_size=3)
+    with pytest.raises(ValueError, match="grid: expected 1 axes"):
+        SNetConfig(tokens, head="grid", grid=((4, 4),))
+    with pytest.raises(ValueError, match="gaps: the head 'gap' needs them"):
+        SNet(SNetConfig(tokens, gap_size=3))
+    with pytest.raises(ValueError, match="in 1 dimensions, 'cube' has 6"):
+        LearnedSampler(JOINT["toy-nqr"].snet()).draw(Cube(torch.arange(2)), 4, STREAM)
+    with pytest.raises(ValueError, match="expected a problem on curves"):
+        CurveGaps(problem_of("toy", 1), 4)
+    assert SNetConfig.from_dict(GRID.to_dict()) == GRID
