@@ -31,7 +31,7 @@ from nqr_geom.recipes import RECIPES
 START = Path(__file__).resolve().parents[1] / "training" / "gwn-uniform"
 RECIPE = RECIPES["gwn-uniform"]
 KNEES = (1.0, 1e6)
-MORE, DECAY = 2000, 1000
+MORE, DECAY = 1000, 500
 
 
 def continued(knee: float, folder: Path, more: int, decay: int) -> LearnedRule:

@@ -191,7 +191,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="the picture, by default docs/gwn-outside.png; none with --quick")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    pixels, runs = (8, 2) if arguments.quick else (16, 8)
+    pixels, runs = (8, 2) if arguments.quick else (16, 5)
     rows = [row for label, curve in shapes().items() for row in rows_of(label, curve, pixels, runs)]
     show(rows)
     out = arguments.out or (None if arguments.quick else DOCS / "gwn-outside.png")
