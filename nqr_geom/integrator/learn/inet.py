@@ -161,8 +161,8 @@ def correct(
     if config.beside:
         if extra is None or extra.beside is None:
             raise ValueError(f"extra: expected one that brings {config.beside} values beside each sample's, got none")
-        away = extra.beside(samples) - row_mean(samples.value)[:, None]  # (B, N, T, K)
-        more = row_mean((beside * away).sum(dim=(2, 3)))[:, None]  # (B, 1)
+        away = extra.beside(samples) - row_mean(samples.value)[:, None, ..., None]  # (B, N, T, C, K)
+        more = row_mean((beside[..., None, :] * away).sum(dim=-1).sum(dim=2))  # (B, C)
         shift = more if shift is None else shift + more
     if config.doubtful_only and base.fallback is not None:
         weights = torch.where(base.fallback[:, None, None, None], weights, base.weights)

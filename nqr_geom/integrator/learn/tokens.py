@@ -36,7 +36,7 @@ class Extra:
     checked : tuple of int
         Those of them that tell whether data resemble a family; a model does not answer outside their trained range.
     beside : callable, optional
-        Samples to further values of the integrand's kind that were seen with each, (B, N, T, K).
+        Samples to further values of the integrand's kind that were seen with each, (B, N, T, C, K).
     """
 
     size: int
@@ -63,6 +63,8 @@ class TokenConfig:
         Natural size of a value; None takes the mean of |f| over the row, which makes the rule homogeneous.
     centred : bool
         Read values, and measure their size, from the row's mean: the rule then does not see an added constant.
+    blind : bool
+        Read no values: the rule is then linear in them, and all channels share its weights.
     """
 
     features: tuple[Feature, ...] = ()
@@ -72,11 +74,13 @@ class TokenConfig:
     extra: int = 0
     unit: float | None = None
     centred: bool = False
+    blind: bool = False
 
     @property
     def width(self) -> int:
         """Numbers in a token."""
-        width = 2 * self.frequencies * self.dim + self.channels + (_NEIGHBOUR if self.dim == 1 else 1) + self.extra
+        width = 2 * self.frequencies * self.dim + (_NEIGHBOUR if self.dim == 1 else 1) + self.extra
+        width += 0 if self.blind else self.channels
         for feature in self.features:
             width += _size(feature, self)
         return width
@@ -196,7 +200,9 @@ def tokenize(samples: Samples, config: TokenConfig, extra: Extra | None = None) 
     def spread(part: Tensor) -> Tensor:
         return part[:, :, None].expand(*part.shape[:2], techniques, part.shape[-1])
 
-    parts = [spread(fourier(x, config.frequencies)), compress(*standard(value, config))]
+    parts = [spread(fourier(x, config.frequencies))]
+    if not config.blind:
+        parts.append(compress(*standard(value, config)))
     if config.dim == 1:
         parts.append(spread(_neighbours(x[..., 0])))
     else:
