@@ -8,62 +8,133 @@ look at: the angles that the query subtends with both neighbours on the piece, a
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from nqr_geom.curves.hermite import tangents
 from nqr_geom.integrator.learn.tokens import Extra, fourier
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean
 
-__all__ = ["CURVE_TOKENS"]
+__all__ = ["CURVE_TOKENS", "Sight", "checked_sizes"]
 
 _TINY = 1e-280
 _SMALL = 1e-18  # its square is a normal number in single precision
 _FREQUENCIES = 4
 
 
-def _cross(a: Tensor, b: Tensor) -> Tensor:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+Vector = tuple[Tensor, Tensor]
+"""Components of vectors: sums over a last axis of two are slow, and round as they like."""
 
 
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    return (a * b).sum(-1)
+def cross(a: Vector, b: Vector) -> Tensor:
+    """a x b of plane vectors."""
+    return a[0] * b[1] - a[1] * b[0]
 
 
-def _unit(a: Tensor) -> Tensor:
-    return a / torch.linalg.vector_norm(a, dim=-1, keepdim=True).clamp_min(_SMALL)
+def dot(a: Vector, b: Vector) -> Tensor:
+    """a . b of plane vectors."""
+    return a[0] * b[0] + a[1] * b[1]
 
 
-def _angle(a: Tensor, b: Tensor) -> Tensor:
-    """Signed angle from a to b in turns of pi, (..., 2) -> (...).
+def norm(a: Vector) -> Tensor:
+    """Length, not below what single precision can square."""
+    return dot(a, a).sqrt().clamp_min(_SMALL)
+
+
+def scaled(a: Vector, factor: Tensor) -> Vector:
+    """factor a."""
+    return a[0] * factor, a[1] * factor
+
+
+def moved(a: Vector, step: Tensor, b: Vector) -> Vector:
+    """a + step b."""
+    return a[0] + step * b[0], a[1] + step * b[1]
+
+
+def rolled(a: Vector, shift: int) -> Vector:
+    """Every sample's neighbour `shift` places before it."""
+    return torch.roll(a[0], shift, dims=1), torch.roll(a[1], shift, dims=1)
+
+
+def half_turns(a: Vector, b: Vector) -> Tensor:
+    """Signed angle from a to b in turns of pi.
 
     By the tangent of half the angle: torch rounds atan2 differently at the end of an array than inside it.
     """
-    x, y = _dot(a, b), _cross(a, b)
-    size = torch.linalg.vector_norm(a, dim=-1) * torch.linalg.vector_norm(b, dim=-1)
+    x, y = dot(a, b), cross(a, b)
+    size = dot(a, a).sqrt() * dot(b, b).sqrt()
     behind = x < 0.0
     below = torch.where(behind, torch.where(y != 0.0, y, _SMALL), (size + x).clamp_min(_SMALL))
     return torch.atan(torch.where(behind, size - x, y) / below) * (2.0 / math.pi)
 
 
-def _log(ratio: Tensor) -> Tensor:
+def logarithm(ratio: Tensor) -> Tensor:
+    """Natural logarithm of ratios between 1e-12 and 1e12, brought to order one."""
     return ratio.clamp(1e-12, 1e12).log() / 3.0
 
 
-def _side(r: Tensor, other: Tensor, unit_tangent: Tensor, other_tangent: Tensor, known: Tensor) -> list[Tensor]:
+@dataclass(frozen=True)
+class Sight:
+    """Curve samples as their query sees them, lengths in the mean length of a piece; each field (B, N) or a pair.
+
+    Parameters
+    ----------
+    s, local, piece, count : Tensor
+        Parameter, place on the piece in [0, 1], index of the piece, number of pieces.
+    r, tangent : Vector
+        Position from the query, and its derivative by `local`.
+    speed : Tensor
+        Length of `tangent`.
+    """
+
+    s: Tensor
+    local: Tensor
+    piece: Tensor
+    count: Tensor
+    r: Vector
+    tangent: Vector
+    speed: Tensor
+
+    @classmethod
+    def of(cls, samples: Samples, dtype: torch.dtype) -> Sight:
+        """From the features of a curve problem; all that is computed here is of order one."""
+        s = samples.x[..., 0]
+        piece = samples.feature("piece", "inet")[:, :, 0, 0]
+        count = samples.feature("pieces", "inet")[:, :, 0, 0]
+        relative, normal = (samples.feature(name, "inet")[:, :, 0] for name in ("relative", "normal"))
+        speed = samples.feature("speed", "inet")[:, :, 0, 0] / count
+        length = row_mean(speed)[:, None].clamp_min(_TINY)  # of a piece, on average
+        local = (s * count - piece).clamp(0.0, 1.0).to(dtype)
+        speed = (speed / length).to(dtype)
+        r = (relative[..., 0] / length).to(dtype), (relative[..., 1] / length).to(dtype)
+        tangent = -normal[..., 1].to(dtype) * speed, normal[..., 0].to(dtype) * speed
+        return cls(s, local, piece, count, r, tangent, speed)
+
+    @property
+    def sizes(self) -> list[Tensor]:
+        """Logarithms of distance and speed: what tells whether a shape is like those of the family."""
+        return [logarithm(norm(self.r)), logarithm(self.speed)]
+
+
+def checked_sizes(samples: Samples) -> Tensor:
+    """Logarithms of distance and speed of samples in any order, (B, N, 1, 2)."""
+    return torch.stack(Sight.of(samples, torch.float32).sizes, dim=-1)[:, :, None]
+
+
+def _side(r: Vector, other: Vector, unit: Vector, other_unit: Vector, distance: Tensor, known: Tensor) -> list[Tensor]:
     """What one neighbour on the same piece tells, each (B, N); zero where there is none."""
-    chord = other - r
-    distance = torch.linalg.vector_norm(r, dim=-1).clamp_min(_SMALL)
-    direction = _unit(chord)
+    chord = other[0] - r[0], other[1] - r[1]
+    length = dot(chord, chord).sqrt()
+    direction = scaled(chord, 1.0 / length.clamp_min(_SMALL))
     quantities = [
-        2.0 * _angle(r, other),
-        _log(torch.linalg.vector_norm(chord, dim=-1) / distance),
-        _log(torch.linalg.vector_norm(other, dim=-1) / distance),
-        _dot(direction, unit_tangent),
-        _cross(direction, unit_tangent),
-        2.0 * _angle(unit_tangent, other_tangent),
+        2.0 * half_turns(r, other),
+        logarithm(length / distance),
+        logarithm(dot(other, other).sqrt() / distance),
+        dot(direction, unit),
+        cross(direction, unit),
+        2.0 * half_turns(unit, other_unit),
     ]
     return [torch.where(known, quantity, 0.0) for quantity in quantities]
 
@@ -76,45 +147,38 @@ def curve_tokens(samples: Samples) -> Tensor:
     samples : Samples
         With the features of a curve problem.
     """
-    s = samples.x[..., 0]
-    piece = samples.feature("piece", "inet")[:, :, 0, 0]
-    count = samples.feature("pieces", "inet")[:, :, 0, 0]
-    speed = samples.feature("speed", "inet")[:, :, 0, 0] / count
-    length = row_mean(speed)[:, None].clamp_min(_TINY)  # of a piece, on average
-    local = (s * count - piece).clamp(0.0, 1.0).float()
-    # Everything below is a ratio of order one, so single precision is enough.
-    r = (samples.feature("relative", "inet")[:, :, 0] / length[..., None]).float()
-    tangent = (tangents(samples, "inet") / (count * length)[..., None]).float()
-    speed = (speed / length).float()
-    distance = torch.linalg.vector_norm(r, dim=-1).clamp_min(_SMALL)
-    sight, unit = r / distance[..., None], _unit(tangent)
-    to_start = r - local[..., None] * tangent
-    to_end = r + (1.0 - local)[..., None] * tangent
-    same = piece.diff(dim=1) == 0
-    none = torch.zeros_like(piece[:, :1], dtype=torch.bool)
-    before, after = torch.cat([none, same], dim=1), torch.cat([same, none], dim=1)
-    gap = torch.nn.functional.pad(s.diff(dim=1) * samples.n, (1, 1)).float()
-    density = (samples.n / count).float()  # samples on a piece, on average
+    seen = Sight.of(samples, torch.float32)
+    r, tangent, local, speed = seen.r, seen.tangent, seen.local, seen.speed
+    distance = norm(r)
+    sight, unit = scaled(r, 1.0 / distance), scaled(tangent, 1.0 / norm(tangent))
+    rest = 1.0 - local
+    same = torch.nn.functional.pad(seen.piece.diff(dim=1) == 0, (1, 1))
+    before, after = same[:, :-1], same[:, 1:]
+    gap = torch.nn.functional.pad(seen.s.diff(dim=1) * samples.n, (1, 1)).float()
+    density = (samples.n / seen.count).float()  # samples on a piece, on average
+    far, fast = seen.sizes
     parts = [
-        _log(distance),
+        far,
         torch.log1p(1.0 / distance),
-        _dot(sight, unit),
-        _cross(sight, unit),
-        _log(speed),
+        dot(sight, unit),
+        cross(sight, unit),
+        fast,
         torch.log1p(speed / distance),
         local,
         (local * density).log1p(),
-        ((1.0 - local) * density).log1p(),
-        2.0 * _angle(to_start, r),
-        2.0 * _angle(r, to_end),
+        (rest * density).log1p(),
+        2.0 * half_turns(moved(r, -local, tangent), r),
+        2.0 * half_turns(r, moved(r, rest, tangent)),
         torch.where(before, gap[:, :-1], 0.0).log1p(),
         torch.where(after, gap[:, 1:], 0.0).log1p(),
-        *_side(r, torch.roll(r, 1, dims=1), unit, torch.roll(unit, 1, dims=1), before),
-        *_side(r, torch.roll(r, -1, dims=1), unit, torch.roll(unit, -1, dims=1), after),
+        *_side(r, rolled(r, 1), unit, rolled(unit, 1), distance, before),
+        *_side(r, rolled(r, -1), unit, rolled(unit, -1), distance, after),
+        *fourier(local[..., None], _FREQUENCIES).unbind(dim=-1),
+        *r,
+        *unit,
     ]
-    invariants = torch.cat([torch.stack(parts, dim=-1), fourier(local[..., None], _FREQUENCIES)], dim=-1)
-    position = torch.cat([r, unit], dim=-1)
-    return torch.cat([invariants, position], dim=-1)[:, :, None]
+    return torch.stack(parts, dim=-1)[:, :, None]
 
 
-CURVE_TOKENS = Extra(13 + 12 + 2 * _FREQUENCIES + 4, curve_tokens, checked=(0, 4))  # distance and speed
+# Distance and speed are what is checked.
+CURVE_TOKENS = Extra(13 + 12 + 2 * _FREQUENCIES + 4, curve_tokens, checked=(0, 4), check=checked_sizes)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from nqr_geom import registry
-from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule, correct
+from nqr_geom.integrator.learn import inet
+from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule, correct, has_bfloat16
 from nqr_geom.integrator.learn.recipe import Recipe, draw_samples
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, sort_samples, standard, tokenize
 from nqr_geom.integrator.problem import Feature, Observation, Samples
@@ -70,10 +73,11 @@ def test_order_of_samples_changes_nothing(name: str) -> None:
     np.testing.assert_allclose(a.estimate(samples), b.estimate(mixed), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("half", [False, True])
 @pytest.mark.parametrize("name", NAMES)
-def test_rows_do_not_depend_on_their_batch(name: str) -> None:
+def test_rows_do_not_depend_on_their_batch(name: str, half: bool) -> None:
     recipe = RECIPES[name]
-    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra)
+    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra, half)
     problem = recipe.family(torch.arange(600), 3, "validation").problem
 
     def answers(index: torch.Tensor) -> torch.Tensor:
@@ -84,6 +88,62 @@ def test_rows_do_not_depend_on_their_batch(name: str) -> None:
     whole = answers(torch.arange(600))
     for index in (torch.arange(1), torch.arange(590, 600), torch.arange(0, 600, 7), torch.arange(600).flip(0)):
         assert torch.equal(answers(index), whole[index])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bfloat16_changes_weights_by_its_rounding_only(name: str) -> None:
+    recipe = RECIPES[name]
+    samples, net = seen(recipe, 200), shaken(recipe.config)
+    single, half, double = (
+        LearnedRule(n, recipe.base_rule(), recipe.extra, h)._raw(samples)
+        for n, h in ((net, False), (net, True), (copy.deepcopy(net).double(), True))
+    )
+    assert (single.dtype, half.dtype, double.dtype) == (torch.float32, torch.float32, torch.float64)
+    size = double.square().mean().sqrt()
+    assert 0.0 < (single - double).square().mean().sqrt() < 1e-5 * size
+    assert 1e-5 * size < (half - double).square().mean().sqrt() < 0.03 * size
+
+
+def test_bfloat16_is_used_where_the_processor_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = RECIPES["toy-uniform"]
+    samples, net = seen(recipe), shaken(recipe.config)
+    known = {h: LearnedRule(net, recipe.base_rule(), recipe.extra, h)._raw(samples) for h in (False, True)}
+    for has in (False, True):
+        monkeypatch.setattr(inet, "has_bfloat16", lambda has=has: has)
+        assert torch.equal(LearnedRule(net, recipe.base_rule(), recipe.extra)._raw(samples), known[has])
+    for told, expected in (({}, False), ({"avx2": True}, False), ({"avx512_bf16": True}, True)):
+        monkeypatch.setattr(torch.cpu, "get_capabilities", lambda told=told: told, raising=False)
+        assert has_bfloat16.__wrapped__() is expected
+
+
+def test_a_network_for_doubtful_integrals_sees_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = RECIPES["gwn-structured"]
+    samples = seen(recipe, 300, 32)
+    flagged = recipe.base_rule().combine(samples).fallback
+    assert flagged is not None
+    assert 0 < flagged.sum() < 100
+    rule = LearnedRule(shaken(recipe.config), recipe.base_rule(), recipe.extra)
+    read = []
+
+    def watched(*arguments: Any) -> torch.Tensor:
+        read.append(len(arguments[0].value))
+        return tokenize(*arguments)
+
+    monkeypatch.setattr(inet, "tokenize", watched)
+    whole = rule.combine(samples).estimate(samples)
+    assert sum(read) == int(flagged.sum())
+    base = recipe.base_rule().combine(samples).estimate(samples)
+    assert torch.equal(whole[~flagged], base[~flagged])
+    assert not torch.equal(whole[flagged], base[flagged])
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if RECIPES[name].extra and RECIPES[name].extra.check])
+def test_checked_quantities_alone_are_those_of_the_tokens(name: str) -> None:
+    extra, samples = RECIPES[name].extra, seen(RECIPES[name])
+    assert extra is not None
+    assert extra.check is not None
+    alone = extra.check(sort_samples(samples)[0])
+    np.testing.assert_array_equal(alone, extra.compute(sort_samples(samples)[0])[..., list(extra.checked)])
 
 
 def test_the_network_always_sees_tiles_of_one_size(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ offset Eq. 52. The network works in float32, the combination in float64.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from typing import Any, Literal
 
 import torch
@@ -33,7 +34,8 @@ class INetConfig:
     tokens : TokenConfig
         What the network reads.
     layers, width, heads, expansion : int
-        Transformer blocks, channels of a token, attention heads, and hidden width of an MLP over `width`.
+        Transformer blocks, channels of a token, attention heads, and hidden width of an MLP over `width`. With 0 layers
+        every token is read alone, by an MLP of two hidden layers: a student, which a compiled pass can afford.
     weights : {"relative", "additive"}
         How a weight is corrected. "additive" is the plain form, W = base + h. "relative" is W = base e^g + h c with
         c = min(1, unit / |f|): a weight at a near singularity of f can become as small as 1/f without the network
@@ -121,7 +123,7 @@ class INet(nn.Module):
         width = config.width
         self.embed_in, self.embed_out = nn.Linear(config.tokens.width, 2 * width), nn.Linear(2 * width, width)
         self.blocks = nn.ModuleList(Block(width, config.heads, config.expansion) for _ in range(config.layers))
-        self.norm = nn.LayerNorm(width)
+        self.norm = nn.LayerNorm(width) if config.layers else nn.ReLU()
         self.head = nn.Linear(width, config.outputs)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
@@ -134,7 +136,8 @@ class INet(nn.Module):
             bias = torch.zeros_like(padding, dtype=x.dtype).masked_fill(padding, -torch.inf)[:, None, None]
         for block in self.blocks:
             x = block(x, bias)  # (B, L, E)
-        return self.head(self.norm(x)).float()  # (B, L, outputs)
+        raw = self.head(self.norm(x))
+        return raw if raw.dtype == torch.float64 else raw.float()  # (B, L, outputs)
 
 
 def correct(
@@ -210,38 +213,55 @@ class LearnedRule(Rule):
         What it corrects.
     extra : Extra, optional
         Quantities of the application that its tokens hold.
+    half : bool, optional
+        Whether matrices are multiplied in bfloat16, as in training; by default where the processor does so in hardware.
     """
 
     net: INet
     base: Rule
     extra: Extra | None = None
+    half: bool | None = None
 
     name = "inet"
 
     def combine(self, samples: Samples) -> Combination:
         base = self.base.combine(samples)
-        ordered, order = sort_samples(samples)
-        tokens = tokenize(ordered, self.net.config.tokens, self.extra)  # (B, N, T, width)
-        b, n, t, width = tokens.shape
-        tokens = tokens.view(b, n * t, width)
         if self.net.config.doubtful_only and base.fallback is not None:
-            raw = tokens.new_zeros(b, n * t, self.net.config.outputs)
-            if base.fallback.any():
-                raw[base.fallback] = self._in_tiles(tokens[base.fallback])
+            doubtful = base.fallback.nonzero()[:, 0]
+            raw = self.net.head.weight.new_zeros(*samples.value.shape[:3], self.net.config.outputs)
+            if len(doubtful):
+                raw[doubtful] = self._raw(samples.take(doubtful))
         else:
-            raw = self._in_tiles(tokens)
-        raw = raw.view(b, n, t, -1)
-        if order is not None:
-            raw = torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
+            raw = self._raw(samples)
         corrected = correct(raw, base, samples, self.net.config, self.extra)
         return _kept_positive(corrected, base, samples) if self.net.config.positive else corrected
 
-    def _in_tiles(self, tokens: Tensor) -> Tensor:
-        """Run the network over tiles of a size that depends on the length alone; the last one is filled up."""
-        rows = max(1, TILE_TOKENS // tokens.shape[1])
-        parts = []
-        with torch.inference_mode():
-            for part in tokens.split(rows):
-                fill = part.new_zeros(rows - len(part), *part.shape[1:])
-                parts.append(self.net(torch.cat([part, fill]))[: len(part)])
-            return torch.cat(parts).clone()
+    def _raw(self, samples: Samples) -> Tensor:
+        """The network's outputs for every sample, (B, N, T, outputs).
+
+        Rows go through in tiles of a size that depends on the length alone, from tokens to outputs while they are in
+        the cache; the last tile is filled up.
+        """
+        ordered, order = sort_samples(samples)
+        b, n, t = samples.value.shape[:3]
+        rows = max(1, TILE_TOKENS // (n * t))
+        kind = self.net.head.weight.dtype
+        raw = torch.empty(b, n, t, self.net.config.outputs, dtype=kind, device=samples.x.device)
+        half = has_bfloat16() if self.half is None else self.half
+        half = half and samples.x.device.type == "cpu" and kind == torch.float32
+        with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=half):
+            for start in range(0, b, rows):
+                part = slice(start, min(start + rows, b))
+                tokens = tokenize(ordered.take(part), self.net.config.tokens, self.extra, kind).flatten(1, 2)
+                tile = torch.nn.functional.pad(tokens, (0, 0, 0, 0, 0, rows - len(tokens)))
+                raw[part] = self.net(tile)[: len(tokens)].unflatten(1, (n, t))
+        if order is None:
+            return raw
+        return torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
+
+
+@cache
+def has_bfloat16() -> bool:
+    """Whether this processor multiplies bfloat16 matrices in hardware; elsewhere they are slower than float32."""
+    told = getattr(torch.cpu, "get_capabilities", dict)()
+    return any(bool(told.get(name)) for name in ("avx512_bf16", "amx_bf16"))

@@ -37,12 +37,15 @@ class Extra:
         Those of them that tell whether data resemble a family; a model does not answer outside their trained range.
     beside : callable, optional
         Samples to further values of the integrand's kind that were seen with each, (B, N, T, C, K).
+    check : callable, optional
+        The checked ones alone, (B, N, T, len(checked)), of samples in any order, where that is cheaper.
     """
 
     size: int
     compute: Callable[[Samples], Tensor]
     checked: tuple[int, ...] = ()
     beside: Callable[[Samples], Tensor] | None = None
+    check: Callable[[Samples], Tensor] | None = None
 
 
 @dataclass(frozen=True)
@@ -174,8 +177,10 @@ def _index_neighbours(index: Tensor) -> Tensor:
     return torch.stack(parts, dim=-1)
 
 
-def tokenize(samples: Samples, config: TokenConfig, extra: Extra | None = None) -> Tensor:
-    """Network inputs of samples that are sorted in one dimension, (B, N, T, width) float32.
+def tokenize(
+    samples: Samples, config: TokenConfig, extra: Extra | None = None, dtype: torch.dtype = torch.float32
+) -> Tensor:
+    """Network inputs of samples that are sorted in one dimension, (B, N, T, width).
 
     Parameters
     ----------
@@ -185,6 +190,8 @@ def tokenize(samples: Samples, config: TokenConfig, extra: Extra | None = None) 
         What to read.
     extra : Extra, optional
         The application's own quantities; its size is `config.extra`.
+    dtype : torch.dtype
+        Of the result.
 
     Raises
     ------
@@ -220,5 +227,5 @@ def tokenize(samples: Samples, config: TokenConfig, extra: Extra | None = None) 
             parts.append(seen if feature.kind == "direction" else compress(seen))
     if extra is not None:
         parts.append(extra.compute(samples))
-    tokens = torch.cat([part.float().expand(*shape[:3], part.shape[-1]) for part in parts], dim=-1)
+    tokens = torch.cat([part.to(dtype).expand(*shape[:3], part.shape[-1]) for part in parts], dim=-1)
     return tokens.nan_to_num_(nan=0.0, posinf=_LIMIT, neginf=-_LIMIT).clamp_(-_LIMIT, _LIMIT)
