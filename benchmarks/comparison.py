@@ -33,18 +33,6 @@ CLASSICAL = ("mc", "trapezoid", "regression-3", "regression-5")
 # Structure-aware rule, network on it, network on the uniform base.
 LEARNED = {"toy": ("toy-hermite", "inet-toy-structured", "inet-toy-uniform"),
            "gwn": ("gwn-hermite", "inet-gwn-structured", "inet-gwn-uniform")}  # fmt: skip
-NAMES = {
-    "mc": "MC",
-    "trapezoid": "Trapz",
-    "regression-3": "Poly-3",
-    "regression-5": "Poly-5",
-    "toy-hermite": "structure-aware",
-    "gwn-hermite": "structure-aware",
-    "inet-toy-structured": "INet on it",
-    "inet-gwn-structured": "INet on it",
-    "inet-toy-uniform": "INet, uniform base",
-    "inet-gwn-uniform": "INet, uniform base",
-}
 
 
 def trained_sampler(problem: str) -> Pair | None:
@@ -54,9 +42,10 @@ def trained_sampler(problem: str) -> Pair | None:
 
 def base_of(rule: str) -> str | None:
     """The rule that a network corrects; "mc" for the uniform base, None for what is no network."""
-    from nqr_geom.recipes import RECIPES
+    from nqr_geom import recipes
 
-    recipe = RECIPES.get(rule.removeprefix("inet-"))
+    pairs = {name: pair.rule for name, pair in getattr(recipes, "JOINT", {}).items()}
+    recipe = (recipes.RECIPES | pairs).get(rule.removeprefix("inet-"))
     if recipe is None or not rule.startswith("inet-"):
         return None
     return "mc" if recipe.base == "uniform" else recipe.base

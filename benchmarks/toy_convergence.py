@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from comparison import NAMES, PLAIN, SEED, pairs_for, rows_of
+from comparison import PLAIN, SEED, pairs_for, rows_of
 from figures import COLOURS, DOCS, SEVERAL, figure, save
+from page import NAMES
 from shapes import write
 from toy_scenes import scenes
 
