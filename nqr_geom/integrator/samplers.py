@@ -247,7 +247,7 @@ def _owen(reversed_bits: Tensor, key: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=32)
-def _sobol_reversed(n: int, dim: int) -> np.ndarray:
+def sobol_reversed(n: int, dim: int) -> np.ndarray:
     """First n points of the Sobol' sequence as bit-reversed 32-bit integers, (n, dim) int64."""
     from scipy.stats import qmc
 
@@ -270,7 +270,7 @@ class Sobol(FixedDesign):
     name = "sobol"
 
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
-        base = torch.as_tensor(_sobol_reversed(n, dim), device=rows.device)
+        base = torch.as_tensor(sobol_reversed(n, dim), device=rows.device)
         return _scrambled(base, counters(rows, n, dim), stream)
 
 
@@ -285,7 +285,7 @@ class Pmj(FixedDesign):
 
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
         keys = counters(rows, n, dim)
-        base = torch.as_tensor(_sobol_reversed(n, 2), device=rows.device)
+        base = torch.as_tensor(sobol_reversed(n, 2), device=rows.device)
         index = _reverse32(torch.arange(n, device=rows.device))
         columns = []
         for first in range(0, dim, 2):

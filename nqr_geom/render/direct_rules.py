@@ -1,0 +1,84 @@
+"""Rules for direct light: regression for each technique, and closed-form light with sampled visibility."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from nqr_geom.integrator.problem import Observation, Samples
+from nqr_geom.integrator.rules import BalanceHeuristic, Combination, Regression, Rule
+from nqr_geom.integrator.sums import row_sum
+
+__all__ = ["TechniqueRegression", "UnhiddenLight", "sure_chance"]
+
+_EVEN_AXES = ("pmj", "sobol", "latin-hypercube")  # designs that hit every stratum of each axis
+
+
+@dataclass(frozen=True)
+class TechniqueRegression(Rule):
+    """Regression Monte Carlo for each technique apart, on values under the balance heuristic (Section 6.1).
+
+    Parameters
+    ----------
+    degree : int
+        Total degree of the polynomials in a technique's own three coordinates.
+    """
+
+    degree: int = 1
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return f"direct-regression-{self.degree}"
+
+    def combine(self, samples: Samples) -> Combination:
+        own = samples.feature("pss", self.name)
+        shares = BalanceHeuristic().combine(samples).weights * self._need_pdf(samples)[..., None]
+        fit = Regression(self.degree)
+        weights = []
+        for t in range(samples.value.shape[2]):
+            pdf = None if samples.pdf is None else samples.pdf[:, :, t : t + 1]
+            part = replace(samples, x=own[:, :, t], seen=Observation(samples.value[:, :, t : t + 1]), pdf=pdf)
+            weights.append(fit.combine(part).weights * shares[:, :, t : t + 1])
+        return Combination(torch.cat(weights, dim=2))
+
+
+def sure_chance(design: str, n: int) -> float:
+    """Least chance of a light at which n samples are (as good as) sure to choose it.
+
+    Evenly spread designs put a sample into each of 2^k <= n strata of an axis, one of which lies inside any two
+    strata's width. Of independent samples all miss such a light once in eight million times.
+    """
+    if design in _EVEN_AXES:
+        return 2.0 / (1 << (n.bit_length() - 1))
+    return 16.0 / n
+
+
+class UnhiddenLight(Rule):
+    """Diffuse light as exact irradiance of each light, if nothing hid it, times its visibility by the samples.
+
+    The samples of a light estimate its contribution with and without what stands in the way. The ratio of the two,
+    times the exact one without, does not see how the light was chosen nor how the cosine varies over it: where a light
+    is quite visible or quite hidden it is exact on diffuse surfaces. Lights that may be missed by chance, and glossy
+    lobes, keep the balance heuristic.
+    """
+
+    name = "direct-unhidden"
+
+    def combine(self, samples: Samples) -> Combination:
+        balance = BalanceHeuristic().combine(samples).weights  # (B, N, T, 1)
+        light, lambert, chance, irradiance, share = (
+            samples.feature(name, self.name) for name in ("light", "lambert", "chance", "irradiance", "diffuse_share")
+        )
+        counted = balance * lambert * (1.0 / samples.n)
+        ratio = torch.ones_like(lambert)
+        for j in torch.unique(light):  # the lights of this tile
+            if j < 0:
+                continue
+            of = light == j
+            sampled = row_sum(torch.where(of, counted, 0.0).sum(dim=2))[:, None, None]  # (B, 1, 1, 1)
+            usable = of & (chance >= sure_chance(samples.design, samples.n)) & (sampled > 0.0)
+            ratio = torch.where(usable, irradiance / torch.where(sampled > 0.0, sampled, 1.0), ratio)
+        weights: Tensor = balance * (1.0 + share * (ratio - 1.0))
+        return Combination(weights)
