@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from nqr_geom.curves.hermite import tangents
-from nqr_geom.curves.tokens import CURVE_TOKENS
+from nqr_geom.curves.tokens import CURVE_TOKENS, Vector, checked_sizes, dot, logarithm, moved, rolled, scaled
 from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean
@@ -22,12 +22,9 @@ from nqr_geom.integrator.sums import row_mean
 __all__ = ["SD_TOKENS"]
 
 _TINY = 1e-280
-_STEEPEST = 60.0  # logarithms beyond it are all the same to a network
-_OWN = 9
-
-
-def _signed_log(value: Tensor) -> Tensor:
-    return value.sign() * torch.log1p(value.abs())
+_STEEPEST = 1e3  # far beyond what a token can hold
+_E_FOLDS = 3.0  # brings logarithms to order one; they stay linear, as those of the weights that a network has to find
+_OWN = 10
 
 
 def _decay(rise: Tensor) -> Tensor:
@@ -35,45 +32,63 @@ def _decay(rise: Tensor) -> Tensor:
     return torch.where(rise > 1e-8, -torch.expm1(-rise) / rise.clamp_min(1e-8), 1.0)
 
 
-def _chord(start: Tensor, end: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-    """alpha (nearest distance - shift) of the chords (B, N, 2) and the logarithm of exp(-alpha (d - shift)) over them.
+def _chord(start: Vector, end: Vector, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
+    """alpha (nearest distance - shift) of chords, and the logarithm of exp(-alpha (d - shift)) over them, (B, N) each.
 
     Distance is taken as linear from the nearest point to either end.
     """
-    step = end - start
-    length = torch.linalg.vector_norm(step, dim=-1)
-    along = (-(start * step).sum(-1) / step.square().sum(-1).clamp_min(_TINY)).clamp(0.0, 1.0)
-    nearest = torch.linalg.vector_norm(start + along[..., None] * step, dim=-1)
-    mean = torch.zeros_like(length)
+    step = end[0] - start[0], end[1] - start[1]
+    length2 = dot(step, step)
+    along = (-dot(start, step) / length2.clamp_min(_TINY)).clamp(0.0, 1.0)
+    foot = moved(start, along, step)
+    nearest = dot(foot, foot).sqrt()
+    mean = torch.zeros_like(length2)
     for share, tip in ((along, start), (1.0 - along, end)):
-        rise = alpha * (torch.linalg.vector_norm(tip, dim=-1) - nearest).clamp_min(0.0)
-        mean = mean + share * _decay(rise)
+        mean = mean + share * _decay(alpha * (dot(tip, tip).sqrt() - nearest).clamp_min(0.0))
     behind = alpha * (nearest - shift)
-    return behind, torch.log((length * mean).clamp_min(_TINY)) - behind
+    return behind, torch.log((length2.sqrt() * mean).clamp_min(_TINY)) - behind
 
 
-def _midpoint(r: Tensor, slope: Tensor, s: Tensor, shifted: int) -> Tensor:
-    """Middle of the Hermite cubic from each sample to the one `shifted` places before it, (B, N, 2)."""
-    other, other_slope = torch.roll(r, shifted, dims=1), torch.roll(slope, shifted, dims=1)
-    return 0.5 * (r + other) + ((torch.roll(s, shifted, dims=1) - s) / 8.0)[..., None] * (slope - other_slope)
+def _midpoint(r: Vector, slope: Vector, s: Tensor, shifted: int) -> Vector:
+    """Middle of the Hermite cubic from each sample to the one `shifted` places before it."""
+    other, other_slope = rolled(r, shifted), rolled(slope, shifted)
+    eighth = (torch.roll(s, shifted, dims=1) - s) / 8.0
+    x, y = (0.5 * (a + b) + eighth * (t - u) for a, b, t, u in zip(r, other, slope, other_slope, strict=True))
+    return x, y
 
 
-def _ends(
-    r: Tensor, slope: Tensor, s: Tensor, piece: Tensor, count: Tensor, before: Tensor, after: Tensor
-) -> list[Tensor]:
-    """Where the piece of each sample would start and end if it went on as a quadratic, (B, N, 2) each."""
-    bend = torch.zeros_like(slope)
+def _bend(slope: Vector, s: Tensor, before: Tensor, after: Tensor) -> Vector:
+    """How the slope changes towards a neighbour on the same piece; zero where there is none."""
+    bend = torch.zeros_like(s), torch.zeros_like(s)
     for known, shifted in ((before, 1), (after, -1)):
         gap = torch.where(known, s - torch.roll(s, shifted, dims=1), 0.0)
-        seen = known & (gap != 0.0)
-        turn = (slope - torch.roll(slope, shifted, dims=1)) / torch.where(seen, gap, 1.0)[..., None]
-        bend = torch.where(seen[..., None], turn, bend)
-    reaches = (piece / count - s)[..., None], ((piece + 1) / count - s)[..., None]
-    return [r + reach * slope + 0.5 * reach.square() * bend for reach in reaches]
+        seen, other = known & (gap != 0.0), rolled(slope, shifted)
+        turn = scaled((slope[0] - other[0], slope[1] - other[1]), 1.0 / torch.where(seen, gap, 1.0))
+        bend = torch.where(seen, turn[0], bend[0]), torch.where(seen, turn[1], bend[1])
+    return bend
+
+
+def _to(known: Tensor, there: Vector, otherwise: Vector) -> Vector:
+    """One point or the other."""
+    return torch.where(known, there[0], otherwise[0]), torch.where(known, there[1], otherwise[1])
+
+
+def _sharpness(speed: Tensor, count: Tensor, alpha: Tensor) -> Tensor:
+    """alpha times the mean length of a piece, (B, N): a logarithm."""
+    return logarithm(alpha * row_mean(speed / count)[:, None])
+
+
+def _checked(samples: Samples) -> Tensor:
+    """What is checked of winding numbers, and the sharpness, (B, N, 1, 3)."""
+    speed, count, alpha = (samples.feature(name, "inet")[..., 0] for name in ("speed", "pieces", "alpha"))
+    sizes = checked_sizes(samples)
+    return torch.cat(
+        [sizes, _sharpness(speed[:, :, 0], count[:, :, 0], alpha[:, :, 0]).to(sizes)[:, :, None, None]], -1
+    )
 
 
 def sd_tokens(samples: Samples) -> Tensor:
-    """Quantities of samples sorted by s, those of a winding number first, (B, N, 1, 46) float32.
+    """Quantities of samples sorted by s, those of a winding number first, (B, N, 1, 47) float32.
 
     Parameters
     ----------
@@ -86,35 +101,39 @@ def sd_tokens(samples: Samples) -> Tensor:
     speed = samples.feature("speed", "inet")[:, :, 0, 0]
     alpha = samples.feature("alpha", "inet")[:, :, 0, 0]
     distance = samples.feature("distance2", "inet")[:, :, 0, 0].sqrt()
-    r, slope = samples.feature("relative", "inet")[:, :, 0], tangents(samples, "inet")
+    relative, tangent = samples.feature("relative", "inet")[:, :, 0], tangents(samples, "inet")
+    r, slope = (relative[..., 0], relative[..., 1]), (tangent[..., 0], tangent[..., 1])
     shift = distance.amin(dim=1, keepdim=True)
     behind = alpha * (distance - shift)
     unit = torch.log(row_mean(speed * torch.exp(-behind))[:, None].clamp_min(_TINY))
     same = piece.diff(dim=1) == 0
     none = torch.zeros_like(piece[:, :1], dtype=torch.bool)
     before, after = torch.cat([none, same], dim=1), torch.cat([same, none], dim=1)
-    ends = _ends(r, slope, s, piece, count, before, after)
-    sides = [
-        _chord(r, torch.where(known[..., None], _midpoint(r, slope, s, shifted), end), alpha, shift)
-        for known, shifted, end in zip((before, after), (1, -1), ends, strict=True)
-    ]
+    bend, sides = _bend(slope, s, before, after), []
+    for known, shifted, end in ((before, 1, piece), (after, -1, piece + 1)):
+        reach = end / count - s
+        tip = moved(moved(r, reach, slope), 0.5 * reach.square(), bend)  # where the piece ends if it goes on like this
+        sides.append(_chord(r, _to(known, _midpoint(r, slope, s, shifted), tip), alpha, shift))
     logs = torch.stack([log for _, log in sides], dim=-1)
     most = logs.amax(dim=(1, 2))[:, None]
     own = torch.log(torch.exp(logs - most[..., None]).sum(dim=-1).clamp_min(_TINY)) + most  # of each sample, (B, N)
     whole = torch.log(row_mean(torch.exp(own - most))[:, None].clamp_min(_TINY)) + most
     many = math.log(samples.n)
     parts = [
-        torch.log((alpha * row_mean(speed / count)[:, None]).clamp(1e-12, 1e12)) / 3.0,
+        _sharpness(speed, count, alpha).expand_as(s),
         torch.log1p(alpha * distance),
         torch.log1p(behind),
-        *(_signed_log(nearest) for nearest, _ in sides),
-        *(_signed_log(log + many - unit) for _, log in sides),
-        _signed_log(own + many + behind - torch.log(speed.clamp_min(_TINY))),  # the weight of the chords' integral
-        _signed_log(whole + many - unit).expand_as(s),
+        behind / _E_FOLDS,
+        *(nearest / _E_FOLDS for nearest, _ in sides),
+        *((log + many - unit) / _E_FOLDS for _, log in sides),
+        (own + many + behind - torch.log(speed.clamp_min(_TINY))) / _E_FOLDS,  # the weight of the chords' integral
+        ((whole + many - unit) / _E_FOLDS).expand_as(s),
     ]
     more = torch.stack(parts, dim=-1).nan_to_num(nan=0.0, posinf=_STEEPEST, neginf=-_STEEPEST)
     return torch.cat([CURVE_TOKENS.compute(samples), more.float()[:, :, None]], dim=-1)
 
 
 # Checked as for winding numbers, and the sharpness: at another one the network has learned nothing.
-SD_TOKENS = Extra(CURVE_TOKENS.size + _OWN, sd_tokens, checked=(*CURVE_TOKENS.checked, CURVE_TOKENS.size))
+SD_TOKENS = Extra(
+    CURVE_TOKENS.size + _OWN, sd_tokens, checked=(*CURVE_TOKENS.checked, CURVE_TOKENS.size), check=_checked
+)
