@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from nqr_geom import check
+from nqr_geom.curves.gaps import CurveGaps
 from nqr_geom.curves.tokens import CURVE_TOKENS
+from nqr_geom.curves.tokens_sd import SD_TOKENS
 from nqr_geom.curves.training import gwn_batch
+from nqr_geom.curves.training_sd import sd_batch
+from nqr_geom.integrator.learn.gaps import Gaps
 from nqr_geom.integrator.learn.inet import INetConfig
+from nqr_geom.integrator.learn.joint import JointRecipe
 from nqr_geom.integrator.learn.recipe import Recipe
+from nqr_geom.integrator.learn.snet import LearnedSampler, SNetConfig
 from nqr_geom.integrator.learn.tokens import TokenConfig
-from nqr_geom.integrator.learn.zoo import Model, load
-from nqr_geom.integrator.problem import Feature
+from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
+from nqr_geom.integrator.problem import Feature, Problem
+from nqr_geom.toy.gaps import ToyGaps
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
 
-__all__ = ["RECIPES", "folder", "model"]
+__all__ = ["JOINT", "RECIPES", "folder", "model", "named", "sampler"]
 
 _TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=TOY_TOKENS.size, centred=True)
 _CURVE = TokenConfig(
@@ -23,6 +32,9 @@ _CURVE = TokenConfig(
     extra=CURVE_TOKENS.size,
     unit=1.0,  # a winding number is a number of turns, whatever the row
 )
+
+# The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
+_SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
 _SIZES = ((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05))
@@ -77,6 +89,60 @@ RECIPES: dict[str, Recipe] = {
             extra=CURVE_TOKENS,
             sizes=_SIZES,
         ),
+        Recipe(
+            name="sd-uniform",
+            problem="sd",
+            family=sd_batch,
+            base="uniform",
+            consistent="trapezoid",
+            # The curve may come much closer between two samples than at either.
+            config=INetConfig(_SD, offset=True, growth=30.0, positive=True),
+            sees=(*_CURVE_SEES, "alpha"),
+            extra=SD_TOKENS,
+            sizes=_SIZES,
+            huber=8.0,
+        ),
+    )
+}
+
+
+# What a sampling network reads of a sample by itself.
+_TOY_SAMPLE = TokenConfig((Feature("derivative", "scalar"), Feature("piece", "index", levels=5)), unit=1.0)
+_CURVE_SAMPLE = TokenConfig((Feature("piece", "index", levels=6), Feature("normal", "direction", 2)), unit=1.0)
+_CENTRE = (0.001,) * 4 + (0.496,) * 2 + (0.001,) * 4
+_MIDDLE = (0.04,) * 3 + (0.19,) * 4 + (0.04,) * 3
+
+
+def _pair(
+    name: str, begin: str, sampler: SNetConfig, gaps: Callable[[Problem, int], Gaps], *sizes: tuple[int, float]
+) -> JointRecipe:
+    return JointRecipe(replace(RECIPES[begin], name=name, sizes=sizes), begin, sampler, gaps)
+
+
+JOINT: dict[str, JointRecipe] = {
+    recipe.name: recipe
+    for recipe in (
+        _pair(
+            "toy-nqr",
+            "toy-structured",
+            SNetConfig(_TOY_SAMPLE, gap_size=ToyGaps.size, sharpness=4.0, profile=_CENTRE),
+            ToyGaps,
+            *((32, 0.7), (24, 0.1), (48, 0.1), (64, 0.1)),
+        ),
+        _pair(  # the paper's form: both networks begin with uniform density and weights
+            "toy-nqr-uniform",
+            "toy-uniform",
+            SNetConfig(_TOY_SAMPLE, gap_size=ToyGaps.size),
+            ToyGaps,
+            *((32, 0.8), (16, 0.1), (64, 0.1)),
+        ),
+        _pair(
+            "gwn-nqr",
+            "gwn-uniform",
+            SNetConfig(_CURVE_SAMPLE, gap_size=CurveGaps.size, sharpness=4.0, profile=_MIDDLE),
+            CurveGaps,
+            *((32, 0.8), (16, 0.1), (64, 0.1)),
+        ),
     )
 }
 
@@ -94,12 +160,37 @@ def model(name: str) -> Model:
     Parameters
     ----------
     name : str
-        Key of `RECIPES`.
+        Key of `RECIPES` or `JOINT`.
 
     Raises
     ------
     ValueError
         If there is no such recipe or model, or its card and weights do not belong together.
     """
-    recipe = RECIPES[check.choice("name", name, sorted(RECIPES))]
-    return load(folder(recipe.problem), recipe)
+    recipe = named(name)
+    rule = recipe.rule if isinstance(recipe, JointRecipe) else recipe
+    return load(folder(rule.problem), rule)
+
+
+@lru_cache(maxsize=8)
+def sampler(name: str) -> LearnedSampler:
+    """The shipped sampling network of a pair.
+
+    Parameters
+    ----------
+    name : str
+        Key of `JOINT`.
+
+    Raises
+    ------
+    ValueError
+        As for `model`.
+    """
+    recipe = JOINT[check.choice("name", name, sorted(JOINT))]
+    return load_sampler(folder(recipe.rule.problem), name, recipe.snet())
+
+
+def named(name: str) -> Recipe | JointRecipe:
+    """The recipe of a single network or of a pair."""
+    check.choice("name", name, sorted([*RECIPES, *JOINT]))
+    return RECIPES[name] if name in RECIPES else JOINT[name]

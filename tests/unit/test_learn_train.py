@@ -302,4 +302,7 @@ def test_the_command_line_trains_and_publishes(tmp_path: Path, capsys: pytest.Ca
     assert main(words) == 0
     assert json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])["batch"] == 8
     assert main(["train", "nothing", "--out", out, "--iterations", "1"]) == 2
-    assert "name: expected one of gwn-structured, gwn-uniform" in capsys.readouterr().err
+    assert "name: expected one of gwn-nqr, gwn-structured, gwn-uniform" in capsys.readouterr().err
+    pair = str(tmp_path / "pair")
+    assert main(["train", "toy-nqr", "--out", pair, "--iterations", "1", "--batch", "2", "--start-from", out]) == 2
+    assert "start_from: expected a run of 'toy-structured', found one of 'toy-uniform'" in capsys.readouterr().err

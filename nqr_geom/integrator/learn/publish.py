@@ -66,6 +66,7 @@ def fit_shares(
     learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
     safe = registry.make("rule", recipe.consistent)
     trained = max(n for n, _ in recipe.sizes)
+    spent = _BLEND_SAMPLES if sampler is None else _BLEND_SAMPLES // 8  # a network places samples slowly
     shares: list[float] = []
     for n in sizes:
         if shares and shares[-1] == 0.0:
@@ -73,7 +74,7 @@ def fit_shares(
             continue
         gain, total = 0.0, 0.0
         tried = torch.zeros(_CANDIDATES)
-        for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
+        for rows in torch.arange(max(64, spent // n)).split(max(1, 2**15 // n)):
             batch, samples = draw_batch(recipe, rows, n, seed, "validation", sampler)
             samples, link = batch.problem.finalize(samples)
             combined = [rule.combine(samples) for rule in (learned, safe)]
