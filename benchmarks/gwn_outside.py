@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from comparison import DESIGNS, LEARNED, SEED, N, Pair, trained_sampler
+from comparison import LEARNED, SEED, N, Pair, pairs_for, trained_sampler
 from figures import DOCS, figure, save
 from numpy.typing import NDArray
 from rich.console import Console
@@ -87,13 +87,6 @@ def decomposed(curve: ng.Curve, problem: GwnProblem, pair: Pair, seed: int) -> F
     return total
 
 
-def pairs() -> list[Pair]:
-    """The structure-aware rule and the networks on fixed designs, and the trained sampler."""
-    fixed = [(design, rule) for design in DESIGNS for rule in LEARNED["gwn"]]
-    joint = trained_sampler("gwn")
-    return fixed + ([joint] if joint is not None else [])
-
-
 def rows_of(label: str, curve: ng.Curve, pixels: int, runs: int) -> list[dict[str, Any]]:
     """One row for each strategy and pair; intervals over runs."""
     points = grid(pixels)
@@ -120,7 +113,7 @@ def rows_of(label: str, curve: ng.Curve, pixels: int, runs: int) -> list[dict[st
     whole = [monte_carlo(problem, parts, seed) for seed in seeds]
     plain = np.concatenate([(answer - truth) ** 2 for answer in whole], axis=1)
     rows = [row("together", ("random", "mc"), whole)]
-    for pair in pairs():
+    for pair in pairs_for("gwn", ()):
         if parts > 1:
             rows.append(row("together", pair, [together(problem, pair, parts, seed) for seed in seeds]))
         rows.append(row("decomp", pair, [decomposed(curve, problem, pair, seed) for seed in seeds]))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from comparison import PLAIN, SEED, pairs_for, rows_of
+from comparison import DESIGNS, PLAIN, SEED, pairs_for, rows_of, trained_sampler
 from figures import COLOURS, DOCS, SEVERAL, figure, save
 from page import NAMES
 from shapes import write
@@ -59,12 +59,15 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def _look(design: str, rule: str) -> dict[str, Any]:
-    """Colour by rule; adaptive samplers dashed with markers of their own."""
-    adaptive = design not in ("random", "stratified")
+    """Colour by rule; adaptive samplers dashed, the trained one in a colour of its own."""
     name = NAMES.get(rule, rule)
-    label = f"{name}, {design}" if adaptive else name
-    style = {"ls": "--", "marker": "D"} if adaptive else {"ls": "-", "marker": "o"}
-    return {"color": COLOURS.get(rule, SEVERAL[0]), "ms": 3.0, "lw": 1.5, "label": label, **style}
+    if design in DESIGNS:
+        return {"color": COLOURS[rule], "ls": "-", "marker": "o", "ms": 3.0, "lw": 1.5, "label": name}
+    trained = trained_sampler("toy")
+    mine = trained is not None and design == trained[0]
+    colour = SEVERAL[3] if trained == (design, rule) else COLOURS.get(rule, "0.5")
+    marks = {"ls": "-.", "marker": "s"} if mine else {"ls": "--", "marker": "D"}
+    return {"color": colour, "ms": 3.0, "lw": 1.5, "label": f"{name}, {design}", **marks}
 
 
 def main() -> None:

@@ -1,0 +1,45 @@
+"""What benchmarks of learned rules promise: networks beside their bases, and trained samplers once there are any."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from nqr_geom import registry
+from nqr_geom.toy.problem import ToyProblem
+
+
+@pytest.fixture
+def comparison(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    return import_module("comparison")
+
+
+def test_a_trained_sampler_joins_once_it_has_a_name(comparison: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(registry.ALIASES, "toy:nqr", raising=False)
+    without = comparison.pairs_for("toy")
+    monkeypatch.setitem(registry.ALIASES, "toy:nqr", "bayesian-quadrature+inet-toy-structured")
+    joined = [pair for pair in comparison.pairs_for("toy") if pair not in without]
+    rules = ["toy-hermite", "inet-toy-structured", "inet-toy-uniform"]
+    assert joined == [("bayesian-quadrature", rule) for rule in rules]
+
+
+def test_ratios_are_of_means_on_the_same_samples(comparison: ModuleType) -> None:
+    problem = ToyProblem.family(64)
+    rows = comparison.rows_of("toy", problem, [("stratified", rule) for rule in ("toy-hermite", "inet-toy-structured")])
+    plain, base, learned = rows
+    assert (plain["design"], plain["rule"]) == ("random", "mc")
+    assert learned["base"] == "toy-hermite"
+    assert learned["ratio"] == pytest.approx(plain["mse"] / learned["mse"])
+    assert learned["gain"] == pytest.approx(base["mse"] / learned["mse"])
+    assert learned["gain_interval"][0] < learned["gain"] < learned["gain_interval"][1]
+    assert "gain" not in base
+
+
+def test_pairs_that_do_not_fit_are_left_out(comparison: ModuleType) -> None:
+    """Greedy samples have no density, so that Monte Carlo refuses them."""
+    rows = comparison.rows_of("toy", ToyProblem.family(2), [("toy-split", "mc"), ("toy-split", "toy-hermite")])
+    assert [(row["design"], row["rule"]) for row in rows] == [("random", "mc"), ("toy-split", "toy-hermite")]
