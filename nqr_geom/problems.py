@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike
 
 from nqr_geom.curves.curve import Curve
 from nqr_geom.curves.problems import GwnProblem, SdProblem
+from nqr_geom.render.problems import TransmittanceProblem
+from nqr_geom.render.volume import Volume
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.wos.problems import STEPS, LaplaceProblem
 
-__all__ = ["gwn", "laplace", "sd", "toy"]
+__all__ = ["gwn", "laplace", "sd", "toy", "transmittance"]
 
 
 def gwn(curve: Curve | Sequence[Curve], points: ArrayLike) -> GwnProblem:
@@ -75,6 +77,37 @@ def laplace(
     (12, 1)
     """
     return LaplaceProblem.of(polygon, boundary, points, max_steps=max_steps, epsilon=epsilon)
+
+
+def transmittance(
+    volume: Volume | Sequence[Volume],
+    origins: ArrayLike,
+    directions: ArrayLike,
+    t_max: ArrayLike,
+    *,
+    support: str = "bounds",
+) -> TransmittanceProblem:
+    """Transmittances as integrals behind an exponential (Eq. 6).
+
+    Parameters
+    ----------
+    volume : Volume or sequence of Volume
+        One volume, or several of one kind that each see all rays.
+    origins, directions, t_max
+        As for `nqr_geom.render.transmittance`.
+    support : {"bounds", "pieces"}
+        Whether the integral is over a ray inside the volume's box, or only over what parts of its shape can reach.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> from nqr_geom import render
+    >>> ball = render.Spheres([[0, 0, 0]], [1.0], [-5, -5, -5], [5, 5, 5])
+    >>> ray = [[-9, 0, 0]], [[1, 0, 0]], 20.0
+    >>> [ng.problems.transmittance(ball, *ray, support=s).rays.total.tolist() for s in ("bounds", "pieces")]
+    [[10.0], [2.0]]
+    """
+    return TransmittanceProblem.of(volume, origins, directions, t_max, support=support)
 
 
 def toy(n: int, seed: int = 0, split: str = "test") -> ToyProblem:

@@ -35,8 +35,8 @@ class Entry:
     dims : str
         "any" or "1".
     needs : str
-        What samples must bring: "pdf", "strata", "control", "techniques", "nodes", the name of the only problem that
-        brings it, "curves" for either problem on curves, or "".
+        What samples must bring: "pdf", "strata", "halves", "control", "techniques", "nodes", the name of the
+        only problem that brings it, "curves" for either problem on curves, or "".
     adaptive : bool
         Whether a sampler looks at values before it places the next point.
     pieces : int
@@ -65,6 +65,7 @@ _SAMPLERS = "nqr_geom.integrator.samplers:"
 _RULES = "nqr_geom.integrator.rules:"
 _CURVES = "nqr_geom.curves."
 _TOY = "nqr_geom.toy."
+_RENDER = "nqr_geom.render."
 
 _RECIPES = "nqr_geom.recipes:"
 
@@ -80,6 +81,8 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (
         Entry("random", _SAMPLERS + "Random", "independent uniform points"),
         Entry("stratified", _SAMPLERS + "Stratified", "one uniform point in each of n equal cells"),
+        Entry("uniform-jitter", _SAMPLERS + "UniformJitter", "the same random place in each of n equal cells"),
+        Entry("jitter-pair", _SAMPLERS + "JitterPair", "two independent uniformly jittered halves", dims="1"),
         Entry("grid", _SAMPLERS + "Grid", "centres of n equal cells"),
         Entry("gauss-legendre", _SAMPLERS + "GaussLegendreNodes", "nodes of the Gauss-Legendre rule"),
         Entry("sobol", _SAMPLERS + "Sobol", "Sobol' points, Owen-scrambled"),
@@ -105,6 +108,14 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             "a few stratified points, then bisection of the worst gap",
             dims="1",
             needs="toy",
+            adaptive=True,
+        ),
+        Entry(
+            "noise-refine",
+            _RENDER + "clamped:NoiseRefine",
+            "a few jittered points, then the gaps whose density is least certain",
+            dims="1",
+            needs="transmittance",
             adaptive=True,
         ),
     ),
@@ -181,6 +192,23 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="techniques",
         ),
         Entry(
+            "jackknife",
+            _RENDER + "jackknife:Jackknife",
+            "two independent depths whose exponentials' bias cancels",
+            exact="constants",
+            linear=False,
+            dims="1",
+            needs="halves",
+        ),
+        Entry(
+            "clamped-noise",
+            _RENDER + "clamped:ClampedNoise",
+            "expected depth of clamped noise on a known shape",
+            linear=False,
+            dims="1",
+            needs="transmittance",
+        ),
+        Entry(
             "gwn-hermite",
             _CURVES + "structured:GwnHermite",
             "exact winding number of the curve rebuilt by Hermite cubics",
@@ -217,6 +245,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
         Entry("gwn", _CURVES + "problems:GwnProblem", "generalised winding number of a curve", dims="1"),
         Entry("sd", _CURVES + "problems:SdProblem", "smoothed distance to a curve", dims="1"),
         Entry("laplace", "nqr_geom.wos.problems:LaplaceProblem", "harmonic function by walks on spheres"),
+        Entry("transmittance", _RENDER + "problems:TransmittanceProblem", "light through a volume", dims="1"),
     ),
     "model": tuple(
         Entry(name, _RECIPES + "model", summary, options={"name": name}, linear=False, dims="1", needs=problem)
@@ -226,6 +255,12 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
 
 # A method is "sampler+rule"; these are the short names. "structured" and the learned ones depend on the problem.
 ALIASES: dict[str, str] = {
+    "transmittance:random": "random+mc",
+    "transmittance:stratified": "uniform-jitter+mc",
+    "transmittance:trapezoid": "uniform-jitter+trapezoid",
+    "transmittance:regression": "uniform-jitter+regression-3",
+    "transmittance:jackknife": "jitter-pair+jackknife",
+    "transmittance:structured": "noise-refine+clamped-noise",
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",

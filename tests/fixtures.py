@@ -44,6 +44,17 @@ def _laplace() -> Problem:
     return ng.problems.laplace(square, [0.0, 1.0, 0.5, -1.0], _POINTS, max_steps=4)
 
 
+def _transmittance() -> Problem:
+    """Five rays through three noisy balls."""
+    import nqr_geom as ng
+    from nqr_geom import render
+
+    noise = render.Noise(amplitude=0.8, frequency=0.9, seed=1)
+    cloud = render.Spheres([[3, 5, 5], [6, 5, 4], [6, 4, 7]], [1.5, 2.0, 1.0], [0] * 3, [10] * 3, noise=noise)
+    origins = 3.5 + 2.0 * np.random.default_rng(5).random((5, 3)) - [5.0, 0.0, 0.0]
+    return ng.problems.transmittance(cloud, origins, [[1.0, 0.1, 0.05]] * 5, 20.0)
+
+
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "line": smooth,
     "square": lambda: smooth(2),
@@ -52,9 +63,10 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "gwn": lambda: _curve_problem("gwn"),
     "sd": lambda: _curve_problem("sd"),
     "laplace": _laplace,
+    "transmittance": _transmittance,
 }
 
-_ANY = ("line", "square", "toy", "gwn", "sd", "laplace")
+_ANY = ("line", "square", "toy", "gwn", "sd", "laplace", "transmittance")
 
 # What an entry needs -> the problems that bring it.
 BRINGS: dict[str, tuple[str, ...]] = {
@@ -64,6 +76,8 @@ BRINGS: dict[str, tuple[str, ...]] = {
     "nodes": _ANY,
     "control": ("line", "square"),
     "techniques": ("two-techniques",),
+    "halves": ("transmittance",),
+    "transmittance": ("transmittance",),
     "curves": ("gwn", "sd"),
     "toy": ("toy",),
     "gwn": ("gwn",),
@@ -119,6 +133,7 @@ def brings(samples: Samples, needs: str) -> bool:
         "techniques": samples.pdf is not None,
         "strata": samples.stratum is not None,
         "nodes": samples.design == "gauss-legendre",
+        "halves": samples.design == "jitter-pair",
     }.get(needs, True)
 
 

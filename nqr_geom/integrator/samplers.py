@@ -164,6 +164,7 @@ class JitterPair(FixedDesign):
     """Two independent uniformly jittered sets of half the points each; `stratum` tells them apart."""
 
     name = "jitter-pair"
+    only_1d = True
 
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
         first = UniformJitter().points(rows, n - n // 2, dim, stream.child("first"))

@@ -1,0 +1,119 @@
+"""Kernels that look at densities: at points, along rays with all that a sample tells, and along rays in sum.
+
+Each is built for the effects of a medium when it is first needed, and kept.
+"""
+
+from functools import cache
+
+import numpy as np
+import torch
+
+from nqr_geom._warp import array, launch, wp
+from nqr_geom.render.kernels_density import Packed, components
+
+__all__ = ["FEATURES", "at_points", "observe"]
+
+FEATURES = ("t", "u_geo", "u_fbm", "slope", "bend")
+
+
+@wp.struct
+class Rays:
+    """B rays and the K stretches of each that count, one after the other; lengths are from where it enters the box."""
+
+    entry: wp.array(dtype=wp.vec3d)  # (B,) relative to the box's low corner
+    direction: wp.array(dtype=wp.vec3d)
+    near: wp.array(dtype=wp.float64)  # (B,) distance from the origin to `entry`
+    volume: wp.array(dtype=wp.int32)
+    start: wp.array2d(dtype=wp.float64)  # (B, K)
+    length: wp.array2d(dtype=wp.float64)  # (B, K), zero for stretches that are not there
+    total: wp.array(dtype=wp.float64)  # (B,) sum of the lengths
+
+
+@wp.func
+def place(rays: Rays, row: int, x: wp.float64) -> wp.float64:
+    """Distance from the entry at which a part x of the stretches lies behind."""
+    rest = x * rays.total[row]
+    last = rays.start.shape[1] - 1
+    k = wp.int32(0)
+    while k < last and rest > rays.length[row, k]:
+        rest -= rays.length[row, k]
+        k += 1
+    # Stretches that are not there have no length: the walk ends in the last one that is.
+    while k > 0 and rays.length[row, k] == wp.float64(0.0):
+        k -= 1
+        rest += rays.length[row, k]
+    return rays.start[row, k] + wp.min(rest, rays.length[row, k])
+
+
+@cache
+def _point_kernel(kind, noisy):
+    density = components(kind, noisy)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def points(first: wp.int32, m: Packed, p: wp.array(dtype=wp.vec3d), out: wp.array2d(dtype=wp.float64)):
+        row = first + wp.tid()
+        zero = wp.float64(0.0)
+        at = p[row]
+        u, geometry, noise, _slope, _bend, _seen = density(m, 0, at, wp.vec3d())
+        for axis in range(3):
+            if at[axis] < zero or at[axis] > m.size[0][axis]:
+                u = zero
+        out[row, 0] = m.density[0] * u
+        out[row, 1] = geometry
+        out[row, 2] = noise
+
+    return points
+
+
+def at_points(medium, points):
+    """Density, u_geo and u_fBm of the first volume at points (m, 3) relative to its box, each (m,) float64."""
+    out = np.zeros((len(points), 3))
+    at = array(np.ascontiguousarray(points), wp.vec3d)
+    launch(_point_kernel(medium.kind, medium.noisy), len(points), [medium.packed, at, array(out, wp.float64)])
+    return tuple(out.T.copy())
+
+
+@cache
+def _observe_kernel(kind, noisy, everything):
+    density = components(kind, noisy)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def observed(
+        first: wp.int32,
+        m: Packed,
+        rays: Rays,
+        x: wp.array2d(dtype=wp.float64),
+        value: wp.array2d(dtype=wp.float64),
+        features: wp.array3d(dtype=wp.float64),
+        seen: wp.array(dtype=wp.int32),
+    ):
+        row = first + wp.tid()
+        v = rays.volume[row]
+        count = wp.int32(0)
+        if wp.static(everything) or rays.total[row] > wp.float64(0.0):
+            for i in range(x.shape[1]):
+                t = place(rays, row, x[row, i])
+                p = rays.entry[row] + t * rays.direction[row]
+                u, geometry, noise, slope, bend, evaluated = density(m, v, p, rays.direction[row])
+                value[row, i] = m.density[v] * u * rays.total[row]
+                features[row, i, 0] = rays.near[row] + t
+                features[row, i, 1] = geometry
+                features[row, i, 2] = noise
+                features[row, i, 3] = slope
+                features[row, i, 4] = bend
+                count += evaluated
+        seen[row] = count
+
+    return observed
+
+
+def observe(medium, rays, x, everything=False):
+    """Value times length (B, N), features (B, N, 5) in the order of `FEATURES`, and noise evaluations a row (B,)."""
+    x = x.contiguous()
+    value = torch.zeros_like(x)
+    features = x.new_zeros(*x.shape, len(FEATURES))
+    seen = torch.zeros(len(x), dtype=torch.int32, device=x.device)
+    outputs = [array(value, wp.float64), array(features, wp.float64), array(seen, wp.int32)]
+    arguments = [medium.packed, rays.packed, array(x, wp.float64), *outputs]
+    launch(_observe_kernel(medium.kind, medium.noisy, everything), len(x), arguments, str(x.device))
+    return value, features, seen

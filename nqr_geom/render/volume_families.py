@@ -1,0 +1,65 @@
+"""The random clouds of Fig. 40: 16 spheres in [0, 10]^3 with noise and majorant 1, calibrated to Table 12."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nqr_geom import check
+from nqr_geom.render.clouds import Spheres
+from nqr_geom.render.volume import Noise, Volume
+from nqr_geom.streams import Stream
+
+__all__ = ["CloudFamily", "view", "volumes"]
+
+Floats = NDArray[np.float64]
+
+SPHERES = 16
+SIDE = 10.0
+
+
+@dataclass(frozen=True)
+class CloudFamily:
+    """The open constants of the family.
+
+    Parameters
+    ----------
+    smallest, largest : float
+        Range of the radii, uniform.
+    margin : float
+        Centres lie at least so far from the box's sides.
+    noise : Noise
+        Of all clouds; each has a seed of its own.
+    """
+
+    smallest: float = 0.4
+    largest: float = 1.4
+    margin: float = 1.0
+    noise: Noise = field(default_factory=Noise)
+
+
+def volumes(n: int, seed: int = 0, split: str = "test", family: CloudFamily | None = None) -> list[Volume]:
+    """The first n clouds of a seed and split; the same index is the same cloud."""
+    family = family or CloudFamily()
+    rows = np.arange(check.integer("n", n, low=1))
+    stream = Stream(check.integer("seed", seed), split, "volumes")
+    ball = np.arange(SPHERES)
+    u = stream.child("centers").uniform(rows[:, None, None], ball[:, None], np.arange(3))
+    centers = family.margin + (SIDE - 2.0 * family.margin) * u
+    radii = family.smallest + (family.largest - family.smallest) * stream.child("radii").uniform(rows[:, None], ball)
+    seeds = (stream.child("noise").bits(rows) & 0x7FFFFFFF).tolist()
+    box = [0.0] * 3, [SIDE] * 3
+    return [
+        Spheres(c, r, *box, noise=replace(family.noise, seed=s)) for c, r, s in zip(centers, radii, seeds, strict=True)
+    ]
+
+
+def view(volume: Volume, resolution: int, index: int, seed: int, split: str) -> tuple[Floats, Floats, Floats]:
+    """Parallel rays along z through the centres of a grid over the box."""
+    low, high = volume.bounds
+    line = (np.arange(check.integer("resolution", resolution, low=1)) + 0.5) / resolution
+    x, y = np.meshgrid(low[0] + line * (high[0] - low[0]), low[1] + line * (high[1] - low[1]), indexing="ij")
+    origins = np.stack([x.ravel(), y.ravel(), np.full(x.size, low[2])], axis=1)
+    return origins, np.tile([0.0, 0.0, 1.0], (x.size, 1)), np.full(x.size, high[2] - low[2])
