@@ -28,6 +28,7 @@ from nqr_geom.streams import Stream
 SHAPE = 3  # of the held-out ones
 GRID = 160
 DENSE = 12000
+TICKS = (-100.0, -10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0, 100.0)
 LIMIT = 3.0  # weights beyond it share the last colour
 
 
@@ -84,6 +85,9 @@ def draw(name: str, curve: ng.Curve, points: np.ndarray, pair: Pair, folder: Pat
         for joint in np.arange(1, curve.n_pieces) / curve.n_pieces:
             right.axvline(joint, color="0.85", lw=0.8, zorder=0)
         right.set_yscale("asinh", linear_width=0.5)
+        ticks = [tick for tick in TICKS if min(f[k].min(), 0.0) <= tick <= max(f[k].max(), 0.0)]
+        right.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        right.minorticks_off()
         right.set(xlim=(0.0, 1.0), ylabel="f(s)")
         right.set_title(f"winding number {truth[k]:.3f}, estimate {estimates[k]:.3f}", fontsize=10)
     axes[-1, 2].set_xlabel("s")
