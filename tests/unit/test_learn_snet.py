@@ -24,14 +24,22 @@ from nqr_geom.recipes import JOINT
 from nqr_geom.streams import Stream
 from nqr_geom.toy.gaps import ToyGaps
 from nqr_geom.toy.problem import ToyProblem
+from nqr_geom.wos.problems import LaplaceProblem
+from nqr_geom.wos.steps import LaplaceWalks
 
 STREAM = Stream(3, "validation")
 GRID = SNetConfig(JOINT["toy-nqr"].sampler.tokens, head="grid", grid=((16,),))
-NETS = {name: recipe.snet for name, recipe in JOINT.items()} | {"toy-grid": lambda: SNet(GRID)}
+STEP = SNetConfig(TokenConfig(dim=12, unit=1.0, frequencies=1), head="step", bins=16)
+NETS = {name: recipe.snet for name, recipe in JOINT.items()} | {
+    "toy-grid": lambda: SNet(GRID),
+    "walk": lambda: SNet(STEP, LaplaceWalks),
+}
 
 
 def problem_of(name: str, n: int) -> Problem:
     rows = torch.arange(n)
+    if name == "walk":
+        return LaplaceProblem.family(1, 5, "validation", points=n)
     return gwn_batch(rows, 5, "validation").problem if name.startswith("gwn") else ToyProblem(rows, 5, "validation")
 
 
@@ -73,7 +81,7 @@ def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:
     assert drawn.min() >= 0.999 * net.config.floor
 
 
-@pytest.mark.parametrize("name", NETS)
+@pytest.mark.parametrize("name", [name for name in NETS if name != "walk"])
 def test_the_density_is_that_of_the_points(name: str) -> None:
     """1/p of a point averages to one, and probabilities of its place are uniform, whatever the network says."""
     net = disturbed(NETS[name]())
@@ -155,6 +163,39 @@ def test_a_grid_in_six_dimensions_with_two_groups() -> None:
     assert abs(terms.mean() - (math.e - 1.0) ** 6) < 4.5 * terms.std() / math.sqrt(len(terms))
 
 
+def test_the_density_of_walks_is_that_of_their_directions() -> None:
+    net = disturbed(NETS["walk"](), 0.3)
+    problem = problem_of("walk", 1).take(torch.zeros(1024, dtype=torch.int64))
+    with torch.no_grad():
+        samples = net.sample(problem, 2, STREAM, torch.arange(1024)).samples
+    assert samples.pdf is not None
+    alive = samples.seen.features["steps"][:, :, 0, 9::10] > 0.0
+    assert alive.any(dim=0).all()
+    weight = 1.0 / samples.pdf[..., 0]
+    # Steps that a walk makes are drawn by the density; those after its end are uniform and count as 1.
+    for i in range(2):
+        assert abs(weight[:, i].mean() - 1.0) < 4.5 * weight[:, i].std() / 32.0
+        moment = weight[:, i] * torch.cos(2.0 * math.pi * samples.x[:, i, 0])
+        assert abs(moment.mean()) < 4.5 * moment.std() / 32.0
+        assert stats.kstest(samples.x[:, i, 11][~alive[:, i, 11]].numpy(), "uniform").pvalue > 1e-3
+
+
+def test_directions_turn_with_the_domain() -> None:
+    star = np.array([[1.0, 0.0], [0.3, 0.4], [-0.2, 1.0], [-0.4, 0.1], [-0.9, -0.5], [0.2, -0.4]])
+    turn = 3.0 * np.array([[0.0, -1.0], [1.0, 0.0]])
+    net = disturbed(NETS["walk"](), 0.3)
+    densities, walks = [], []
+    for vertices, point in ((star, [0.1, 0.05]), (star @ turn.T, turn @ [0.1, 0.05])):
+        problem = ng.problems.laplace(vertices, np.arange(6.0), [point])
+        with torch.no_grad():
+            samples = net.sample(problem, 1, STREAM).samples
+        densities.append(samples.pdf)
+        walks.append(samples.x)
+    # The frame of a domain rounds, and a walk repeats that many times over: only its first steps agree closely.
+    assert_allclose(densities[0], densities[1], rtol=1e-3)
+    assert_allclose(torch.frac(walks[1][0, 0, :4] - walks[0][0, 0, :4] + 1.0), 0.25, atol=1e-4)
+
+
 def test_monte_carlo_on_its_samples_is_unbiased() -> None:
     net = disturbed(JOINT["toy-nqr-uniform"].snet(), 0.2)
     problem = problem_of("toy", 1).take(torch.zeros(4096, dtype=torch.int64))
@@ -201,13 +242,17 @@ def test_gaps_on_curves_do_not_see_place_size_or_direction() -> None:
 def test_bad_arguments_are_named() -> None:
     tokens = TokenConfig(features=(Feature("piece", "index", levels=5),))
     with pytest.raises(ValueError, match="floor: expected"):
-        SNetConfig(tokens, gap_size=3, floor=0.0)
+        SNetConfig(tokens, floor=0.0)
     with pytest.raises(ValueError, match="head: 'gap' needs one dimension"):
-        SNetConfig(replace(tokens, dim=2), gap_size=3)
+        SNetConfig(replace(tokens, dim=2))
+    with pytest.raises(ValueError, match="view: the head 'step' needs a type of Walks"):
+        SNet(STEP, ToyGaps)
+    with pytest.raises(ValueError, match="problem: expected one of walks"):
+        SNet(STEP, LaplaceWalks).sample(problem_of("toy", 1), 2, STREAM)
     with pytest.raises(ValueError, match="grid: expected 1 axes"):
         SNetConfig(tokens, head="grid", grid=((4, 4),))
-    with pytest.raises(ValueError, match="gaps: the head 'gap' needs them"):
-        SNet(SNetConfig(tokens, gap_size=3))
+    with pytest.raises(ValueError, match="view: the head 'gap' needs a type of Gaps, got None"):
+        SNet(SNetConfig(tokens))
     with pytest.raises(ValueError, match="in 1 dimensions, 'cube' has 6"):
         LearnedSampler(JOINT["toy-nqr"].snet()).draw(Cube(torch.arange(2)), 4, STREAM)
     with pytest.raises(ValueError, match="expected a problem on curves"):

@@ -19,14 +19,14 @@ from torch import Tensor
 
 from nqr_geom import check, registry
 from nqr_geom.integrator.learn.gaps import Gaps
-from nqr_geom.integrator.learn.inet import INet, LearnedRule
+from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetConfig
+from nqr_geom.integrator.learn.steps import Walks
 from nqr_geom.integrator.learn.tokens import sort_samples
 from nqr_geom.integrator.learn.train import Progress, draw_batch, launch, residuals, robust
-from nqr_geom.integrator.problem import Problem
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.streams import Stream
 
@@ -47,14 +47,14 @@ class JointRecipe:
         Recipe whose trained network the integrator begins with; the two differ in name and sizes only.
     sampler : SNetConfig
         The sampling network.
-    gaps : callable, optional
-        (problem, n) to what its gap head chooses among.
+    view : type of Gaps or of Walks, optional
+        What its head chooses among or sees.
     """
 
     rule: Recipe
     begin: str
     sampler: SNetConfig
-    gaps: Callable[[Problem, int], Gaps] | None = None
+    view: type[Gaps] | type[Walks] | None = None
 
     @property
     def name(self) -> str:
@@ -63,7 +63,7 @@ class JointRecipe:
 
     def snet(self) -> SNet:
         """A fresh sampling network: its base sampler."""
-        return SNet(self.sampler, self.gaps)
+        return SNet(self.sampler, self.view, self.rule.extra if self.sampler.tokens.extra else None)
 
 
 @dataclass(frozen=True)
@@ -259,6 +259,9 @@ def _identity(recipe: JointRecipe, config: JointConfig) -> str:
 def _refuse_other_run(state: dict[str, Any], recipe: JointRecipe, config: JointConfig) -> None:
     """Raise unless the checkpoint belongs to this recipe, batch, group and seed."""
     found, wanted = json.loads(state["identity"]), json.loads(_identity(recipe, config))
+    # Configurations are compared as such, so that a run goes on when a field with a default is added.
+    read: dict[str, Callable[[Any], Any]] = {"config": INetConfig.from_dict, "sampler": SNetConfig.from_dict}
     for name, want in wanted.items():
-        if found.get(name) != want:
-            raise ValueError(f"out: expected a run with {name} {want}, found one with {found.get(name)}")
+        have, of = found[name], read.get(name, str)
+        if of(have) != of(want):
+            raise ValueError(f"out: expected a run with {name} {want}, found one with {have}")
