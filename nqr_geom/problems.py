@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -14,7 +14,31 @@ from nqr_geom.render.volume import Volume
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.wos.problems import STEPS, LaplaceProblem
 
-__all__ = ["gwn", "laplace", "sd", "toy", "transmittance"]
+if TYPE_CHECKING:  # a scene's problem loads Warp
+    from nqr_geom.render.direct_problem import DirectProblem
+    from nqr_geom.render.scene import Scene
+
+__all__ = ["direct", "gwn", "laplace", "sd", "toy", "transmittance"]
+
+
+def direct(scenes: Scene | Sequence[Scene]) -> DirectProblem:
+    """Direct light in every pixel of one or more scenes (Section 6.1).
+
+    Parameters
+    ----------
+    scenes : Scene or sequence of Scene
+        One behind the other, each row by row from the top left.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> problem = ng.problems.direct(ng.datasets.scenes(2, resolution=4))
+    >>> problem.batch, problem.dim, problem.techniques, problem.channels
+    (32, 6, 2, 3)
+    """
+    from nqr_geom.render.direct_problem import DirectProblem
+
+    return DirectProblem.of(scenes)
 
 
 def gwn(curve: Curve | Sequence[Curve], points: ArrayLike) -> GwnProblem:

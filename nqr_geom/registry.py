@@ -209,6 +209,19 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="transmittance",
         ),
         Entry(
+            "direct-regression-1",
+            _RENDER + "direct_rules:TechniqueRegression",
+            "regression for each technique of direct light apart",
+            options={"degree": 1},
+            needs="direct",
+        ),
+        Entry(
+            "direct-unhidden",
+            _RENDER + "direct_rules:UnhiddenLight",
+            "diffuse light in closed form, its visibility sampled",
+            needs="direct",
+        ),
+        Entry(
             "gwn-hermite",
             _CURVES + "structured:GwnHermite",
             "exact winding number of the curve rebuilt by Hermite cubics",
@@ -246,6 +259,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
         Entry("sd", _CURVES + "problems:SdProblem", "smoothed distance to a curve", dims="1"),
         Entry("laplace", "nqr_geom.wos.problems:LaplaceProblem", "harmonic function by walks on spheres"),
         Entry("transmittance", _RENDER + "problems:TransmittanceProblem", "light through a volume", dims="1"),
+        Entry("direct", _RENDER + "direct_problem:DirectProblem", "light of spheres that surfaces reflect"),
     ),
     "model": tuple(
         Entry(name, _RECIPES + "model", summary, options={"name": name}, linear=False, dims="1", needs=problem)
@@ -255,6 +269,9 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
 
 # A method is "sampler+rule"; these are the short names. "structured" and the learned ones depend on the problem.
 ALIASES: dict[str, str] = {
+    "direct:random": "random+balance-heuristic",
+    "direct:regression": "pmj+direct-regression-1",
+    "direct:structured": "pmj+direct-unhidden",
     "transmittance:random": "random+mc",
     "transmittance:stratified": "uniform-jitter+mc",
     "transmittance:trapezoid": "uniform-jitter+trapezoid",

@@ -55,6 +55,14 @@ def _transmittance() -> Problem:
     return ng.problems.transmittance(cloud, origins, [[1.0, 0.1, 0.05]] * 5, 20.0)
 
 
+def _direct() -> Problem:
+    """Five pixels of a room with shapes, materials and lights of every kind."""
+    import nqr_geom as ng
+    from tests.scenes import two_spheres
+
+    return ng.problems.direct(two_spheres(8)).take(torch.tensor([18, 33, 43, 44, 52]))
+
+
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "line": smooth,
     "square": lambda: smooth(2),
@@ -64,6 +72,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "sd": lambda: _curve_problem("sd"),
     "laplace": _laplace,
     "transmittance": _transmittance,
+    "direct": _direct,
 }
 
 _ANY = ("line", "square", "toy", "gwn", "sd", "laplace", "transmittance")
@@ -75,7 +84,8 @@ BRINGS: dict[str, tuple[str, ...]] = {
     "strata": _ANY,
     "nodes": _ANY,
     "control": ("line", "square"),
-    "techniques": ("two-techniques",),
+    "techniques": ("two-techniques", "direct"),
+    "direct": ("direct",),
     "halves": ("transmittance",),
     "transmittance": ("transmittance",),
     "curves": ("gwn", "sd"),
@@ -131,6 +141,7 @@ def brings(samples: Samples, needs: str) -> bool:
         "pdf": samples.pdf is not None,
         "control": samples.pdf is not None,
         "techniques": samples.pdf is not None,
+        "direct": samples.pdf is not None,
         "strata": samples.stratum is not None,
         "nodes": samples.design == "gauss-legendre",
         "halves": samples.design == "jitter-pair",

@@ -34,7 +34,8 @@ class TechniqueRegression(Rule):
 
     def combine(self, samples: Samples) -> Combination:
         own = samples.feature("pss", self.name)
-        shares = BalanceHeuristic().combine(samples).weights * self._need_pdf(samples)[..., None]
+        density = self._need_pdf(samples)[..., None]
+        shares = BalanceHeuristic().combine(samples).weights * density
         fit = Regression(self.degree)
         weights = []
         for t in range(samples.value.shape[2]):
@@ -67,10 +68,11 @@ class UnhiddenLight(Rule):
     name = "direct-unhidden"
 
     def combine(self, samples: Samples) -> Combination:
-        balance = BalanceHeuristic().combine(samples).weights  # (B, N, T, 1)
         light, lambert, chance, irradiance, share = (
             samples.feature(name, self.name) for name in ("light", "lambert", "chance", "irradiance", "diffuse_share")
         )
+        self._need_pdf(samples)
+        balance = BalanceHeuristic().combine(samples).weights  # (B, N, T, 1)
         counted = balance * lambert * (1.0 / samples.n)
         ratio = torch.ones_like(lambert)
         for j in torch.unique(light):  # the lights of this tile
