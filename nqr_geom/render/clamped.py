@@ -2,8 +2,8 @@
 
 Eq. 9 clamps a field 1 - u_geo + u_fBm to [0, 1]. Between two samples u_geo is known from both ends: each tells its
 value, slope and bend, and the nearer shape wins. The noise there is a Gaussian process whose correlation follows from
-its constants, pinned at both ends. So the density's expectation has a closed form, clamp included, and so has what is still
-uncertain about it: the rule adds up the former, the sampler goes where the latter is largest.
+its constants, pinned at both ends. So the density's expectation has a closed form, clamp included, and so has what is
+still uncertain about it: the rule adds up the former, the sampler goes where the latter is largest.
 """
 
 from __future__ import annotations

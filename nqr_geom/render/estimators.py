@@ -20,6 +20,7 @@ __all__ = ["TRACKERS", "optical_depth", "reference", "transmittance"]
 
 Floats = NDArray[np.float64]
 
+_DEEPEST = 1e6  # a tracked photon collides as often as the majorant's optical depth says
 TRACKERS = ("ratio", "track-length", "unbiased-raymarching")
 
 
@@ -57,6 +58,12 @@ def _tracked(problem: TransmittanceProblem, method: str, n: int, seed: int) -> E
     """Ratio tracking or track length until more than n queries are spent, or unbiased ray marching."""
     from nqr_geom.streams import Stream
 
+    depth = problem.rays.total * problem.medium.tensors["density"][problem.rays.volume.long()]
+    if problem.batch and float(depth.max()) > _DEEPEST:
+        raise ValueError(
+            f"volume: expected majorant times length up to {_DEEPEST:.0e} for method {method!r}, got "
+            f"{float(depth.max()):.3g}; use ray marching"
+        )
     stream = Stream(seed, name=f"samples/{method}")
     start = time.perf_counter()
     if method == "unbiased-raymarching":

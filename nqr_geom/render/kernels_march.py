@@ -1,17 +1,16 @@
-"""Kernels that look at densities: at points, along rays with all that a sample tells, and along rays in sum.
+"""The kernel that looks at densities along rays, with all that a sample tells.
 
-Each is built for the effects of a medium when it is first needed, and kept.
+It is built for the effects of a medium when it is first needed, and kept.
 """
 
 from functools import cache
 
-import numpy as np
 import torch
 
 from nqr_geom._warp import array, launch, wp
 from nqr_geom.render.kernels_density import Packed, components
 
-__all__ = ["FEATURES", "at_points", "observe"]
+__all__ = ["FEATURES", "Rays", "observe", "place"]
 
 FEATURES = ("t", "u_geo", "u_fbm", "slope", "bend")
 
@@ -46,35 +45,7 @@ def place(rays: Rays, row: int, x: wp.float64) -> wp.float64:
 
 
 @cache
-def _point_kernel(kind, noisy):
-    density = components(kind, noisy)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def points(first: wp.int32, m: Packed, p: wp.array(dtype=wp.vec3d), out: wp.array2d(dtype=wp.float64)):
-        row = first + wp.tid()
-        zero = wp.float64(0.0)
-        at = p[row]
-        u, geometry, noise, _slope, _bend, _seen = density(m, 0, at, wp.vec3d())
-        for axis in range(3):
-            if at[axis] < zero or at[axis] > m.size[0][axis]:
-                u = zero
-        out[row, 0] = m.density[0] * u
-        out[row, 1] = geometry
-        out[row, 2] = noise
-
-    return points
-
-
-def at_points(medium, points):
-    """Density, u_geo and u_fBm of the first volume at points (m, 3) relative to its box, each (m,) float64."""
-    out = np.zeros((len(points), 3))
-    at = array(np.ascontiguousarray(points), wp.vec3d)
-    launch(_point_kernel(medium.kind, medium.noisy), len(points), [medium.packed, at, array(out, wp.float64)])
-    return tuple(out.T.copy())
-
-
-@cache
-def _observe_kernel(kind, noisy, everything):
+def _observe_kernel(kind, noisy):
     density = components(kind, noisy)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -82,6 +53,7 @@ def _observe_kernel(kind, noisy, everything):
         first: wp.int32,
         m: Packed,
         rays: Rays,
+        everything: wp.int32,
         x: wp.array2d(dtype=wp.float64),
         value: wp.array2d(dtype=wp.float64),
         features: wp.array3d(dtype=wp.float64),
@@ -90,7 +62,7 @@ def _observe_kernel(kind, noisy, everything):
         row = first + wp.tid()
         v = rays.volume[row]
         count = wp.int32(0)
-        if wp.static(everything) or rays.total[row] > wp.float64(0.0):
+        if everything == 1 or rays.total[row] > wp.float64(0.0):
             for i in range(x.shape[1]):
                 t = place(rays, row, x[row, i])
                 p = rays.entry[row] + t * rays.direction[row]
@@ -114,6 +86,6 @@ def observe(medium, rays, x, everything=False):
     features = x.new_zeros(*x.shape, len(FEATURES))
     seen = torch.zeros(len(x), dtype=torch.int32, device=x.device)
     outputs = [array(value, wp.float64), array(features, wp.float64), array(seen, wp.int32)]
-    arguments = [medium.packed, rays.packed, array(x, wp.float64), *outputs]
-    launch(_observe_kernel(medium.kind, medium.noisy, everything), len(x), arguments, str(x.device))
+    arguments = [medium.packed, rays.packed, int(everything), array(x, wp.float64), *outputs]
+    launch(_observe_kernel(medium.kind, medium.noisy), len(x), arguments, str(x.device))
     return value, features, seen

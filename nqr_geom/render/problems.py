@@ -130,10 +130,7 @@ class TransmittanceProblem(Problem):
 
         made = volumes(n, seed=seed, split=split)
         medium = Medium.of(made)
-        parts = []
-        for k, volume in enumerate(made):
-            parts.append(Rays.through([volume], *view(volume, resolution, k, seed, split), support))
-        rays = Rays.joined(parts)
+        rays = Rays.joined([Rays.through([volume], *view(volume, resolution), support) for volume in made])
         return cls(medium, rays, torch.arange(rays.batch))
 
     @property

@@ -58,7 +58,7 @@ class Noise:
     gain, lacunarity : float
         From octave to octave, 0 < gain <= 1 and lacunarity >= 1.
     seed : int
-        Which noise, 0 <= seed < 2^31.
+        Which noise, 0 <= seed < 2^31. It is laid out from the low corner of a volume's box.
 
     Examples
     --------
