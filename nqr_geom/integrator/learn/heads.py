@@ -139,6 +139,7 @@ def floored(log_density: Tensor, floor: float) -> Tensor:
 class _Kept:
     gaps: Gaps
     keys: Tensor
+    bias: Tensor
     keyed: int = 0
 
 
@@ -181,7 +182,8 @@ class GapHead(Head):
 
     def begin(self, problem: Problem, n: int) -> _Kept:
         gaps = self.gaps(problem, n)
-        return _Kept(gaps, gaps.features.new_zeros(*gaps.open.shape, self.query.out_features))
+        room = gaps.features.new_zeros(*gaps.open.shape, self.query.out_features)
+        return _Kept(gaps, room, torch.zeros_like(gaps.features[..., 0]))
 
     def _keys(self, features: Tensor, states: Tensor) -> Tensor:
         return self.key_out(self.key_in(torch.cat([features, states], dim=-1)).relu())
@@ -206,13 +208,14 @@ class GapHead(Head):
         gaps, at = kept.gaps, torch.arange(len(state), device=state.device)
         fresh = slice(kept.keyed, gaps.used)
         new = gaps.features[:, fresh]
-        kept.keys[:, fresh] = self._keys(new, state[:, None].expand(*new.shape[:2], -1))
+        made = self._keys(new, state[:, None].expand(*new.shape[:2], -1))
+        kept.keys[:, fresh], kept.bias[:, fresh] = made, self.bias(made)[..., 0]
         kept.keyed = gaps.used
         base = self._base(gaps)
         used = slice(0, gaps.used)
         keys = kept.keys[:, used]
         query = self.query(state) * keys.shape[-1] ** -0.5
-        logits = (keys * query[:, None]).sum(dim=-1) + self.bias(keys)[..., 0]
+        logits = (keys * query[:, None]).sum(dim=-1) + kept.bias[:, used]
         log_gap = (base[:, used] + logits).log_softmax(dim=-1)
         slot, rest = pick(log_gap.exp(), u[:, 0])
         log_bin = self._bins(keys[at, slot], state)

@@ -9,6 +9,7 @@ chooses a walk step by step. All start as their base: an untrained network is it
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, cast
 
@@ -269,13 +270,17 @@ class LearnedSampler(Sampler):
                 f"sampler: {self.name!r} needs a problem {self.problem or 'of any name'!r} in {dim} dimensions, "
                 f"{problem.name!r} has {problem.dim}"
             )
-        parts = []
-        with torch.inference_mode():
-            for start in range(0, problem.batch, TILE_ROWS):
-                count = min(TILE_ROWS, problem.batch - start)
-                index = torch.arange(start, start + TILE_ROWS, device=problem.rows.device).clamp_max(problem.batch - 1)
+
+        def tile(start: int) -> Samples:
+            count = min(TILE_ROWS, problem.batch - start)
+            index = torch.arange(start, start + TILE_ROWS, device=problem.rows.device).clamp_max(problem.batch - 1)
+            with torch.inference_mode():
                 placed = self.net.sample(problem.take(index), min(n, self.most), stream).samples
-                parts.append(placed.take(slice(0, count)))
+            return placed.take(slice(0, count))
+
+        # The operations are too small to be shared out themselves.
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+            parts = list(pool.map(tile, range(0, problem.batch, TILE_ROWS)))
         placed = replace(Samples.stack(parts), design=self.name)
         if n <= self.most:
             return placed
