@@ -222,10 +222,14 @@ class GwnProblem(CurveProblem):
         return self._exact(gwn)
 
     def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
-        """Plain Monte Carlo and the structured method, for polynomial pieces on a CPU."""
+        """Plain Monte Carlo, the structured method and students, for polynomial pieces on a CPU."""
         shapes = self.shapes
         if not isinstance(shapes, PackedShapes) or self.points.device.type != "cpu":
             return None
+        if type(sampler) in (Random, Stratified) and hasattr(rule, "card"):
+            from nqr_geom.curves.student import whole_of
+
+            return whole_of(self, shapes, type(sampler) is Stratified, rule, n)
         plain = type(rule) is MonteCarlo and type(sampler) in (Random, Stratified)
         refine = sampler if type(rule) is GwnHermite and isinstance(sampler, CurveRefine) else None
         if not plain and (refine is None or n < 2 * int(shapes.pieces.max())):

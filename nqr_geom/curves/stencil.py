@@ -22,10 +22,10 @@ from nqr_geom.curves.tokens import (
     rolled,
     scaled,
 )
-from nqr_geom.integrator.learn.tokens import Extra
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig
 from nqr_geom.integrator.problem import Samples
 
-__all__ = ["CURVE_STENCIL"]
+__all__ = ["CURVE_STENCIL", "STENCIL_TOKENS"]
 
 _SMALL = 1e-18
 
@@ -79,3 +79,4 @@ def curve_stencil(samples: Samples) -> Tensor:
 
 
 CURVE_STENCIL = Extra(9 + 14, curve_stencil, checked=(0, 3), check=checked_sizes)  # distance and speed
+STENCIL_TOKENS = TokenConfig(frequencies=0, extra=CURVE_STENCIL.size, unit=1.0)

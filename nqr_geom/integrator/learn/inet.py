@@ -214,7 +214,8 @@ class LearnedRule(Rule):
     extra : Extra, optional
         Quantities of the application that its tokens hold.
     half : bool, optional
-        Whether matrices are multiplied in bfloat16, as in training; by default where the processor does so in hardware.
+        Whether matrices are multiplied in bfloat16, as in training; by default where the processor does so in hardware
+        and there are attention layers to gain from it.
     """
 
     net: INet
@@ -247,7 +248,7 @@ class LearnedRule(Rule):
         rows = max(1, TILE_TOKENS // (n * t))
         kind = self.net.head.weight.dtype
         raw = torch.empty(b, n, t, self.net.config.outputs, dtype=kind, device=samples.x.device)
-        half = has_bfloat16() if self.half is None else self.half
+        half = has_bfloat16() and self.net.config.layers > 0 if self.half is None else self.half
         half = half and samples.x.device.type == "cpu" and kind == torch.float32
         with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=half):
             for start in range(0, b, rows):

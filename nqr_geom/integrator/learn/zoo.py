@@ -104,6 +104,15 @@ class Card:
             data["sampler"] = SNetConfig.from_dict(data["sampler"])
         return cls(**{**data, "config": INetConfig.from_dict(data["config"])})
 
+    @property
+    def box(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Where the model answers: the trained range of the checked quantities and a tenth of it beyond either end."""
+        slack = [_MARGIN * (high - low) for low, high in zip(self.low, self.high, strict=True)]
+        return (
+            tuple(low - more for low, more in zip(self.low, slack, strict=True)),
+            tuple(high + more for high, more in zip(self.high, slack, strict=True)),
+        )
+
     def share(self, n: int) -> float:
         """How much the network counts at n samples: linear in log n between the measured sizes, 0 beyond them.
 
@@ -262,9 +271,8 @@ class Model(Rule):
     def inside(self, samples: Samples) -> Tensor:
         """Integrals that resemble the training family, (B,) bool."""
         seen = checked(samples, self.learned.extra)
-        low, high = seen.new_tensor(self.card.low), seen.new_tensor(self.card.high)
-        slack = _MARGIN * (high - low)
-        inside = ((seen >= low - slack) & (seen <= high + slack)).all(dim=2).all(dim=1)
+        low, high = (seen.new_tensor(end) for end in self.card.box)
+        inside = ((seen >= low) & (seen <= high)).all(dim=2).all(dim=1)
         for feature in self.card.config.tokens.features:
             if feature.kind == "index":
                 inside &= (samples.feature(feature.name, self.name) < feature.levels).flatten(1).all(dim=1)
@@ -279,7 +287,7 @@ class Model(Rule):
         if share == 0.0 or not inside.any():
             return replace(safe, fallback=self._gave_way(torch.ones_like(inside), safe))
         learned = self.learned.combine(samples)
-        part = torch.where(inside, share, 0.0).to(samples.value.dtype)
+        part = share * inside.to(samples.value.dtype)
         return replace(
             learned,
             weights=_mix(part[:, None, None, None], learned.weights, safe.weights),
