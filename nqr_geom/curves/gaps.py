@@ -58,13 +58,16 @@ class CurveGaps(Gaps):
         if pieces is None:
             raise ValueError(f"sampler: expected a problem on curves, got {problem.name!r}")
         self.pieces = pieces[problem.shape][:, None].double()  # type: ignore[attr-defined]
-        walls = torch.arange(int(self.pieces.max()) + 1, device=problem.rows.device) / self.pieces
-        super().__init__(problem, n, walls.clamp_max(1.0))
+        super().__init__(problem, n)
         slots = self.open.shape
-        self.known = torch.zeros(*slots, 2, dtype=torch.bool, device=walls.device)
-        self.r, self.t = walls.new_zeros(2, *slots, 2, 2).unbind()
-        self.looks = walls.new_full(slots, _UNSEEN)
+        self.known = torch.zeros(*slots, 2, dtype=torch.bool, device=self.left.device)
+        self.r, self.t = self.left.new_zeros(2, *slots, 2, 2).unbind()
+        self.looks = self.left.new_full(slots, _UNSEEN)
         self._fill(slice(0, self.start))
+
+    def walls(self, problem: Problem) -> Tensor:
+        ends = torch.arange(int(self.pieces.max()) + 1, device=problem.rows.device) / self.pieces
+        return ends.clamp_max(1.0)
 
     def worth(self) -> Tensor:
         return self.looks[:, : self.used].log()

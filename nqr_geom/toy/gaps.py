@@ -32,12 +32,11 @@ class ToyGaps(Gaps):
     size: ClassVar[int] = 13
 
     def __init__(self, problem: Problem, n: int) -> None:
-        like = torch.zeros(problem.batch, 1, dtype=torch.float64, device=problem.rows.device)
-        super().__init__(problem, n, torch.cat([like, like + 1.0], dim=1))
+        super().__init__(problem, n)
         self.shape = Shape()
-        self.seen = Seen.empty(like, n)
+        self.seen = Seen.empty(self.left, n)
         self.placed = 0
-        index = torch.zeros(3, *self.open.shape, dtype=torch.int64, device=like.device)
+        index = torch.zeros(3, *self.open.shape, dtype=torch.int64, device=self.left.device)
         self.from_, self.to, self.piece = index.unbind()
         self.score, self.idle = self.left.new_zeros(2, *self.open.shape).unbind()
         self._fill(slice(0, 1), torch.zeros_like(index[0, :, :1]), torch.ones_like(index[0, :, :1]))

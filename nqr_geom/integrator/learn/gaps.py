@@ -39,13 +39,12 @@ class Gaps(ABC):
         B integrals in one dimension.
     n : int
         Samples that will be placed.
-    walls : Tensor, (B, W + 1), float64
-        Ends of the gaps to begin with, rising from 0 to 1; gaps of no width stay closed.
     """
 
     size: ClassVar[int]
 
-    def __init__(self, problem: Problem, n: int, walls: Tensor) -> None:
+    def __init__(self, problem: Problem, n: int) -> None:
+        walls = self.walls(problem)
         self.start = walls.shape[1] - 1
         slots = self.start + 2 * n
         self.left, self.right = walls.new_zeros(2, problem.batch, slots).unbind()
@@ -54,6 +53,11 @@ class Gaps(ABC):
         self.left[:, : self.start], self.right[:, : self.start] = walls[:, :-1], walls[:, 1:]
         self.open[:, : self.start] = walls.diff(dim=1) > 0.0
         self.used = self.start
+
+    def walls(self, problem: Problem) -> Tensor:
+        """Ends of the gaps to begin with, (B, W + 1) rising from 0 to 1; gaps of no width stay closed."""
+        ends = torch.tensor([0.0, 1.0], dtype=torch.float64, device=problem.rows.device)
+        return ends.expand(problem.batch, 2)
 
     @abstractmethod
     def worth(self) -> Tensor:
