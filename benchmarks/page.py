@@ -15,10 +15,12 @@ NAMES = {
     "regression-5": "Poly-5",
     "toy-hermite": "structure-aware",
     "gwn-hermite": "structure-aware",
+    "sd-hermite": "structure-aware",
     "inet-toy-structured": "INet on it",
     "inet-gwn-structured": "INet on it",
     "inet-toy-uniform": "INet, uniform base",
     "inet-gwn-uniform": "INet, uniform base",
+    "inet-sd-uniform": "INet, uniform base",
     "pieces known": "pieces known",
 }
 

@@ -36,7 +36,7 @@ Source = Annotated[
     str, Parameter(help="An SVG file, SVG path data, or a .npy file with the points of a polyline (n, 2).")
 ]
 Text = Annotated[bool, Parameter(help="Take SOURCE as text and use its outlines.")]
-Method = Annotated[str, Parameter(help="exact, auto, mc, stratified, trapezoid, structured, or sampler+rule.")]
+Method = Annotated[str, Parameter(help="exact, auto, mc, stratified, trapezoid, structured, inet, or sampler+rule.")]
 Samples = Annotated[int, Parameter(name=["--samples", "-n"], help="Samples per query of a sampled method.")]
 Resolution = Annotated[int, Parameter(help="Grid lines of the picture's longer side.")]
 Seed = Annotated[int, Parameter(help="Seed of a sampled method.")]
@@ -328,7 +328,7 @@ def demo(
 
 @app.command
 def train(
-    name: Annotated[str, Parameter(help="A recipe, such as gwn-uniform, or a pair, such as gwn-nqr.")],
+    name: Annotated[str, Parameter(help="A recipe such as gwn-uniform, a pair such as gwn-nqr, or toy, gwn or sd.")],
     *,
     out: Annotated[Path, Parameter(help="Folder of the run; a run that is there is continued.")],
     iterations: Annotated[int, Parameter(help="Of the whole run, those already done included.")],
@@ -363,7 +363,7 @@ def train(
         train_one(recipe, out, TrainConfig(**options), start_from=start_from, **where)
     out_console.print(f"wrote {out}", highlight=False)
     if publish is not None:
-        card = make_model(recipe, out, publish, command=f"nqr-geom train {name} --iterations {iterations}")
+        card = make_model(recipe, out, publish, command=f"nqr-geom train {recipe.name} --iterations {iterations}")
         out_console.print(f"wrote {publish / card.name}.safetensors", highlight=False)
 
 

@@ -75,6 +75,7 @@ _MODELS = (
     ("toy-structured", "toy", "network that corrects toy-hermite"),
     ("gwn-uniform", "gwn", "network that corrects plain weights on curves"),
     ("gwn-structured", "gwn", "network that guesses what gwn-hermite has not seen"),
+    ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
 )
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
@@ -248,7 +249,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
                 linear=False,
                 dims="1",
                 needs=problem,
-                pieces=6 if problem == "gwn" else 0,
+                pieces=6 if problem in ("gwn", "sd") else 0,
             )
             for name, problem, summary in _MODELS
         ),
@@ -283,6 +284,7 @@ ALIASES: dict[str, str] = {
     "toy:structured": "toy-split+toy-hermite",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
+    "sd:inet": "stratified+inet-sd-uniform",
     "mc": "random+mc",
     "stratified": "stratified+mc",
     "trapezoid": "stratified+trapezoid",

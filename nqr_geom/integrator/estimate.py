@@ -135,16 +135,20 @@ class Estimate:
         )
 
 
-def folded(estimate: Estimate, parts: int) -> Estimate:
+def folded(estimate: Estimate, parts: int, alpha: float | None = None) -> Estimate:
     """Add up integrals that were estimated in parts: the batch holds all first parts, then all second ones, ...
 
     Parameters
     ----------
     estimate : Estimate
-        Of parts * B integrals without a link.
+        Of parts * B integrals G(F).
     parts : int
         How many parts each of the B integrals has.
+    alpha : float, optional
+        G(F) is -ln(F) / alpha, and it is the F that add up; without it G is the identity.
     """
+    if alpha is not None:
+        return _folded_logarithms(estimate, parts, alpha)
 
     def total(values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(parts, -1, *values.shape[1:]).sum(axis=0)
@@ -157,6 +161,33 @@ def folded(estimate: Estimate, parts: int) -> Estimate:
         stderr=statistics.stderr,
         inner=total(estimate.inner),
         fallback=total(estimate.fallback).astype(bool),
+        plan={**estimate.plan, "parts": parts},
+        statistics=statistics,
+    )
+
+
+def _folded_logarithms(estimate: Estimate, parts: int, alpha: float) -> Estimate:
+    """`folded` behind -ln(F) / alpha, with the smallest part taken out so that no F under- or overflows."""
+    old = estimate.statistics
+
+    def stacked(values: NDArray[Any]) -> NDArray[Any]:
+        return values.reshape(parts, -1, *values.shape[1:])
+
+    least = stacked(old.mean).min(axis=0)
+    inner = np.exp(-alpha * (stacked(old.mean) - least))
+    total = inner.sum(axis=0)
+    # Each part moves the sum by its share of it.
+    statistics = Statistics(
+        least - np.log(total) / alpha, (stacked(old.m2) * (inner / total) ** 2).sum(axis=0), old.count, old.kind
+    )
+    # A part that is farther than the nearest by 20 / alpha would have to be that wrong before its doubts matter.
+    seen = (inner > 1e-9 * total).any(axis=2)
+    return replace(
+        estimate,
+        value=statistics.mean,
+        stderr=statistics.stderr,
+        inner=np.exp(-alpha * statistics.mean),
+        fallback=(stacked(estimate.fallback) & seen).any(axis=0),
         plan={**estimate.plan, "parts": parts},
         statistics=statistics,
     )
