@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,11 @@ from nqr_geom.wos.boundary import solve
 from nqr_geom.wos.domain import Boundary, Domain
 from nqr_geom.wos.families import polygons, queries
 from nqr_geom.wos.nearest import BINS, Nearest, join, nearest_rows
+from nqr_geom.wos.record import ALIVE, SEEN, VALUE, record
 
 __all__ = ["STEPS", "LaplaceProblem", "WalkState"]
 
 STEPS = 12  # the paper's
-
-_SEEN = {"closest": 2, "distance": 1, "arc_length": 1, "boundary_value": 1, "from_start": 2, "angle": 2, "alive": 1}
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class LaplaceProblem(WalkProblem):
         loops = max(int(boundary.domain.loop[-1]) + 1 for boundary in self.boundaries)
         return Schema(
             (
-                Feature("steps", "scalar", self.dim * sum(_SEEN.values())),
+                Feature("steps", "scalar", self.dim * sum(SEEN.values())),
                 Feature("length", "scalar"),
                 Feature("finished", "index", levels=2),
                 Feature("end", "scalar", 4),
@@ -194,16 +194,25 @@ class LaplaceProblem(WalkProblem):
 
     def _closest(self, state: WalkState) -> tuple[Tensor, Tensor, Tensor]:
         """The closest boundary point (B, N, 2) of each walk's position, its arc length and its value, (B, N)."""
-        edge, shape, t = state.edge.numpy(), self.shape.numpy(), state.t.numpy()
+        edge, t = state.edge.numpy(), state.t.numpy()
         edges = self.geometry.edges
-        local = edge - self.geometry.shape[shape, 3][:, None]
         corner = edges[edge, :2] + t[..., None] * edges[edge, 2:4]
-        arc, value = np.empty(edge.shape), np.empty(edge.shape)
-        for k in np.unique(shape):
-            of, boundary = shape == k, self.boundaries[k]
-            arc[of] = boundary.domain.arc[local[of]] + t[of] * boundary.domain.lengths[local[of]]
-            value[of] = boundary.at(local[of], t[of])
-        return torch.from_numpy(corner), torch.from_numpy(arc), torch.from_numpy(value)
+        arc = self._arcs[edge, 0] + t * self._arcs[edge, 1]
+        return torch.from_numpy(corner), torch.from_numpy(arc), torch.from_numpy(self._values(edge, t))
+
+    @cached_property
+    def _arcs(self) -> NDArray[np.float64]:
+        """Arc length at the start of every edge of `geometry`, and its length, (E, 2)."""
+        return np.concatenate([np.column_stack([b.domain.arc, b.domain.lengths]) for b in self.boundaries])
+
+    def _values(self, edge: NDArray[np.int64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Boundary values at t of edges of `geometry`, (B, ...)."""
+        value, shape, first = np.empty(edge.shape), self.shape.numpy(), self.geometry.shape[:, 3]
+        ends = np.flatnonzero(np.diff(shape, append=-1)) + 1
+        for low, high in zip(np.append(0, ends[:-1]), ends, strict=True):  # rows of one domain after the other
+            k = shape[low]
+            value[low:high] = self.boundaries[k].at(edge[low:high] - first[k], t[low:high])
+        return value
 
     def _loops(self) -> Tensor:
         """Arc length at the end of each loop of each query's domain, (B, L); a domain with fewer repeats its last."""
@@ -231,6 +240,24 @@ class LaplaceProblem(WalkProblem):
             "alive": torch.ones_like(state.distance)[..., None],
         }
         return {name: torch.where(state.alive[..., None], tensor, 0.0) for name, tensor in seen.items()}
+
+    def evaluate(self, x: Tensor) -> Observation:
+        """Walk all steps in one compiled pass: the same as step by step, to rounding."""
+        walks = record(
+            self.geometry, self._arcs, self.shape.numpy(), self.points.numpy(), x.cpu().numpy(), self.epsilon
+        )
+        value = self._values(walks.edge, walks.t)
+        walks.steps[..., VALUE] = value[..., :-1] * walks.steps[..., ALIVE]
+        batch, n = x.shape[:2]
+        features = {
+            "steps": torch.from_numpy(walks.steps).reshape(batch, n, 1, -1),
+            "length": torch.from_numpy(walks.made).double()[:, :, None, None],
+            "finished": torch.from_numpy(~walks.alive).long()[:, :, None, None],
+            "end": torch.from_numpy(walks.end)[:, :, None],
+            "loops": self._loops()[:, None, None].expand(-1, n, -1, -1),
+        }
+        last = torch.from_numpy(np.ascontiguousarray(value[..., -1]))
+        return Observation(last[:, :, None, None], features, queries=int(walks.made.sum()))
 
     def step(self, state: WalkState, x: Tensor) -> WalkState:
         """Jump onto the largest circle in direction 2 pi x, where the walk has not ended."""
