@@ -275,6 +275,52 @@ def _show(measured: Frontier, title: str) -> None:
 
 
 @app.command
+def render(
+    scene: Annotated[
+        str,
+        Parameter(
+            help="two-spheres, teaser, white-room, living-room, staircase, plates, a .json scene, or a mesh file "
+            "to stand on a floor."
+        ),
+    ] = "two-spheres",
+    *,
+    method: Annotated[
+        str, Parameter(help="random, mis, regression, structured, reference, or sampler+rule.")
+    ] = "structured",
+    spp: Annotated[int, Parameter(name=["--spp", "-n"], help="Passes a pixel.")] = 64,
+    width: Annotated[int, Parameter(help="Pixels; a .json scene has its own.")] = 320,
+    height: Annotated[int, Parameter(help="Pixels; a .json scene has its own.")] = 240,
+    seed: Seed = 0,
+    report: Annotated[bool, Parameter(help="Say what the scene calls for and what ran.")] = False,
+    out: Annotated[Path, Parameter(help="A picture (.png), or linear radiance (.npy).")] = Path("render.png"),
+) -> None:
+    """Draw a scene under spherical lights by direct illumination."""
+    from nqr_geom.render.scene_file import scene_named
+
+    check.choice("out", out.suffix.lower(), (".png", ".npy"))
+    made = scene_named(scene, width, height)
+    from nqr_geom.render.direct_light import direct
+    from nqr_geom.render.film import save_picture
+    from nqr_geom.render.world import lights_seen
+
+    estimate = direct(made, spp=spp, method=method, seed=seed, full_output=True)
+    image = estimate.value.reshape(made.camera.height, made.camera.width, 3)
+    if out.suffix.lower() == ".png":
+        image = image + lights_seen(made)
+    path = save_picture(out, image)
+    if report:
+        table = Table(title=f"{scene}: {method}, {spp} passes", box=box.SIMPLE_HEAD, show_header=False)
+        table.add_row("effects", ", ".join(sorted(estimate.effects)) or "none")
+        table.add_row("kernels", estimate.plan["kernels"])
+        for name, count in estimate.counts.items():
+            table.add_row(name, f"{count:,}")
+        for name, seconds in estimate.stages.items():
+            table.add_row(f"seconds: {name}", f"{seconds:.3f}")
+        out_console.print(table)
+    out_console.print(f"wrote {path}", highlight=False)
+
+
+@app.command
 def frontier(
     problem: Annotated[str, Parameter(help="A random family: toy, gwn, sd or laplace.")] = "gwn",
     *,

@@ -28,7 +28,7 @@ _PUBLIC = {
     "Spheres": "nqr_geom.render.clouds",
     "Torus": "nqr_geom.render.clouds",
     "Volume": "nqr_geom.render.volume",
-    "direct": "nqr_geom.render.direct",
+    "direct": "nqr_geom.render.direct_light",
     "transmittance": "nqr_geom.render.estimators",
 }
 
@@ -58,7 +58,7 @@ __all__ = [
 if TYPE_CHECKING:
     from nqr_geom.render.camera import Camera
     from nqr_geom.render.clouds import Extrusion, Spheres, Torus
-    from nqr_geom.render.direct import direct
+    from nqr_geom.render.direct_light import direct
     from nqr_geom.render.estimators import transmittance
     from nqr_geom.render.lights import SphereLight
     from nqr_geom.render.materials import Checker, Conductor, Diffuse, Image, Plastic

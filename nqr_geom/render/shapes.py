@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -117,7 +118,9 @@ class Mesh:
         if not Path(path).is_file():
             raise ValueError(f"path: expected an existing mesh file, got {str(path)!r}")
         try:
-            read = pv.read(path)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # VTK's reader complains, then gives an empty mesh
+                read = pv.read(path)
             surface = read.combine().extract_surface(algorithm=None) if isinstance(read, pv.MultiBlock) else read
             surface = surface if isinstance(surface, pv.PolyData) else surface.extract_surface(algorithm=None)
             if not surface.n_cells:

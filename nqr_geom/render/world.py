@@ -17,7 +17,7 @@ from nqr_geom.render.materials import COAT_NODES, Checker, Conductor, Diffuse, I
 from nqr_geom.render.scene import Scene
 from nqr_geom.streams import Stream
 
-__all__ = ["Assembled", "assemble", "rows_of", "see"]
+__all__ = ["Assembled", "assemble", "lights_seen", "rows_of", "see"]
 
 Floats = NDArray[np.float64]
 Rows = NDArray[Any]
@@ -175,6 +175,24 @@ def _on_spheres(rows: Rows, scene: Scene, ball: NDArray[np.int64], origin: Float
     return np.column_stack([turn + 0.5, np.arcsin(np.clip(outward[:, 2], -1.0, 1.0)) / np.pi + 0.5])
 
 
+def _met(world: Assembled, k: int, origin: Floats, w: Floats) -> tuple[Rows, Rows, Floats]:
+    """Kind, number and distance of what rays from one point meet first, see `kernels_camera.meet`."""
+    kind, index, distance = np.empty(len(w), np.int32), np.empty(len(w), np.int32), np.empty(len(w))
+    out = [array(kind, wp.int32), array(index, wp.int32), array(distance, wp.float64)]
+    launch(meet, len(w), [world.struct, k, wp.vec3d(*origin), array(w, wp.vec3d), *out])
+    return kind, index, distance
+
+
+def lights_seen(scene: Scene) -> Floats:
+    """Radiance of the lights that the camera sees directly, (h, w, 3): the part that `direct` leaves out."""
+    camera = scene.camera
+    kind, index, _ = _met(assemble([scene]), 0, scene.frame(camera.position), camera.rays())
+    emission = np.array([light.emission for light in scene.lights]).reshape(-1, 3)
+    seen = np.zeros((len(kind), 3))
+    seen[kind == 2] = emission[index[kind == 2]]
+    return seen.reshape(camera.height, camera.width, 3)
+
+
 def see(world: Assembled, k: int, jitter: Stream | None = None) -> Rows:
     """What the pixels of scene `k` see, row by row from the top left: a structured array (height * width,).
 
@@ -189,11 +207,8 @@ def see(world: Assembled, k: int, jitter: Stream | None = None) -> Rows:
     scene = world.scenes[k]
     w = np.ascontiguousarray(scene.camera.rays(jitter))
     origin = scene.frame(scene.camera.position)
-    count = len(w)
-    kind, index, distance = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count)
-    out = [array(kind, wp.int32), array(index, wp.int32), array(distance, wp.float64)]
-    launch(meet, count, [world.struct, k, wp.vec3d(*origin), array(w, wp.vec3d), *out])
-    rows = _empty(kernels_bsdf.Surface, count)
+    kind, index, distance = _met(world, k, origin, w)
+    rows = _empty(kernels_bsdf.Surface, len(w))
     rows["kind"] = -1
     materials = _material_rows(scene.materials, world.coats)
     for shape in (0, 1):
