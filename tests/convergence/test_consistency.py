@@ -61,7 +61,7 @@ def test_so_many_integrals_tell_a_wrong_blend(name: str, n: int) -> None:
     assert worse(learned, safe) == (model(name).card.share(n) < 0.5)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", [name for name in MODELS if RECIPES[name].config.tokens.dim == 1])
 def test_errors_fall_to_nothing(name: str) -> None:
-    """Consistent: 128 times the samples leave less than a thousandth of the error."""
+    """Consistent: 128 times the samples leave less than a thousandth of the error (walks keep that of their end)."""
     assert squared_errors(name, 4096)[0].mean() < 1e-3 * squared_errors(name, 32)[0].mean()
