@@ -153,8 +153,11 @@ def reconstruct(samples: Samples, rule: str) -> Segments:
     joined = ~changes & (step > 0.0)  # neighbours on one piece, and not the same point
     gap = torch.where(joined, step, 1.0)[..., None]
     chord = r.diff(dim=1)
-    forth = cubic_terms(chord, t[:, :-1], t[:, 1:], gap)
-    back = cubic_terms(-chord, t[:, 1:], t[:, :-1], -gap)
+    # A sample that is alone on its piece is followed along its tangent.
+    forth, back = (
+        [torch.where(joined[..., None], c, 0.0) for c in cubic_terms(sign * chord, here, there, sign * gap)]
+        for sign, here, there in ((1.0, t[:, :-1], t[:, 1:]), (-1.0, t[:, 1:], t[:, :-1]))
+    )
     error = _errors(s, r, t, forth[1], gap, joined)
 
     # The ends of a piece: the first sample is extended by the cubic to its right, the last by the one to its left.

@@ -12,7 +12,8 @@ from scipy.integrate import quad
 import nqr_geom as ng
 from nqr_geom.curves import hermite
 from nqr_geom.curves.problems import GwnProblem, SdProblem
-from nqr_geom.curves.structured import CurveRefine
+from nqr_geom.curves.structured import CurveRefine, GwnHermite
+from nqr_geom.integrator.problem import Samples
 from nqr_geom.streams import Stream
 
 RANDOM = np.random.default_rng(5)
@@ -155,3 +156,17 @@ def test_mean_of_sd_values_never_overflows() -> None:
         for method in ("mc", "stratified", "trapezoid", "structured", "random+regression-3"):
             value = ng.integrate(SdProblem.of(curve, [[0.0, 1e-9], [0.0, 1e6], [3.0, 0.0]], alpha), method=method).value
             assert np.isfinite(value).all(), (alpha, method)
+
+
+@pytest.mark.parametrize("places", [[0.1, 0.9], [0.2, 0.3, 0.75], [0.45]])
+def test_a_sample_alone_on_a_straight_piece_is_followed_along_its_tangent(places):
+    """Whatever lies on the next piece: a segment is known from any one of its points."""
+    curve = ng.Curve.polyline([[1.0, -0.5], [0.4, 0.8], [-1.0, 0.3]])
+    points = np.random.default_rng(8).uniform(-1, 1, (50, 2))
+    problem = GwnProblem.of(curve, points)
+    x = torch.tensor(places, dtype=torch.float64).expand(50, -1)[..., None]
+    samples = Samples(x, problem.evaluate(x), None, "placed")
+    combination = GwnHermite().combine(samples)
+    seen = curve if max(places) > 0.5 else ng.Curve.polyline([[1.0, -0.5], [0.4, 0.8]])
+    np.testing.assert_allclose(combination.estimate(samples)[:, 0], ng.gwn(seen, points), atol=1e-12)
+    assert combination.fallback.all()  # fewer than two samples on a piece
