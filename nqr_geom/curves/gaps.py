@@ -12,10 +12,11 @@ from nqr_geom.curves import hermite
 from nqr_geom.integrator.learn.gaps import Gaps
 from nqr_geom.integrator.problem import Observation, Problem, Samples
 
-__all__ = ["CurveGaps"]
+__all__ = ["CurveGaps", "SdGaps"]
 
 _UNSEEN = 4.0  # size over distance that a gap counts with before either end is known
 _NEAREST = 0.1  # sizes over distance beyond the inverse of this are all alike
+_FAR = 8.0  # units of 1/alpha beyond which gaps are alike
 _TINY = 1e-280
 
 
@@ -63,6 +64,7 @@ class CurveGaps(Gaps):
         self.known = torch.zeros(*slots, 2, dtype=torch.bool, device=self.left.device)
         self.r, self.t = self.left.new_zeros(2, *slots, 2, 2).unbind()
         self.looks = self.left.new_full(slots, _UNSEEN)
+        self.nearest, self.length = self.left.new_zeros(2, *slots).unbind()
         self._fill(slice(0, self.start))
 
     def walls(self, problem: Problem) -> Tensor:
@@ -101,6 +103,7 @@ class CurveGaps(Gaps):
         middle = guess.mean(dim=-2) + torch.where(both[..., None], bend, 0.0)
         points = torch.cat([guess, middle[..., None, :]], dim=-2)
         nearest = torch.linalg.vector_norm(points, dim=-1).amin(dim=-1).clamp_min(_TINY)
+        self.nearest[:, new], self.length[:, new] = nearest, length
         looks = length / (nearest + _NEAREST * length).clamp_min(_TINY) * torch.where(both, 1.0, 2.0)
         # Its share of the piece counts too: far pieces want a few samples as well.
         self.looks[:, new] = (torch.where(some, looks, _UNSEEN) + h * self.pieces).clamp_min(1e-12)
@@ -122,4 +125,48 @@ class CurveGaps(Gaps):
             self.looks[:, new].log() / 3.0,
             h * self.pieces,
         ]
-        self.features[:, new] = torch.stack(parts, dim=-1).float()
+        self.features[:, new, : CurveGaps.size] = torch.stack(parts, dim=-1).float()
+
+
+class SdGaps(CurveGaps):
+    """Gaps of a smoothed distance; `worth` is what a gap may add to the integral of exp(-alpha (d - nearest)).
+
+    Parameters
+    ----------
+    problem : Problem
+        A smoothed distance.
+    n : int
+        Samples that will be placed.
+    """
+
+    size: ClassVar[int] = CurveGaps.size + 3
+
+    def __init__(self, problem: Problem, n: int) -> None:
+        alpha = getattr(problem, "alpha", None)
+        if alpha is None:
+            raise ValueError(f"sampler: expected a smoothed distance, got {problem.name!r}")
+        self.alpha = float(alpha)
+        super().__init__(problem, n)
+
+    def worth(self) -> Tensor:
+        used = slice(0, self.used)
+        some = self.known[:, used].any(dim=-1)
+        best = torch.where(self.open[:, used] & some, self.nearest[:, used], math.inf).amin(dim=1, keepdim=True)
+        behind = torch.where(some & best.isfinite(), self.alpha * (self.nearest[:, used] - best), 0.0)
+        share = ((self.right - self.left)[:, used] * self.pieces).clamp_min(1e-12)
+        # A wide gap may hide a part of the curve that is closer than its ends.
+        hidden = (behind - 0.5 * self.alpha * self.length[:, used]).clamp(0.0, _FAR)
+        return torch.where(some, share.log() - hidden, math.log(_UNSEEN))
+
+    def _fill(self, new: slice) -> None:
+        super()._fill(new)
+        some = self.known[:, new].any(dim=-1)
+        best = torch.where(self.known.any(dim=-1), self.nearest, math.inf).amin(dim=1, keepdim=True)
+        behind = torch.where(some, self.alpha * (self.nearest[:, new] - best), 0.0)
+        seen = torch.where(some, self.alpha * self.length[:, new], 0.0)
+        own = [
+            behind.clamp(0.0, 1e3).log1p(),
+            seen.log1p(),
+            torch.where(some, _log(self.alpha * self.nearest[:, new]), 0.0),
+        ]
+        self.features[:, new, CurveGaps.size :] = torch.stack(own, dim=-1).float()
