@@ -13,9 +13,9 @@ from scipy import stats
 
 import nqr_geom as ng
 from nqr_geom import registry
-from nqr_geom.curves.gaps import CurveGaps
+from nqr_geom.curves.gaps import CurveGaps, SdGaps
 from nqr_geom.curves.training import gwn_batch
-from nqr_geom.integrator.learn.gaps import Gaps
+from nqr_geom.curves.training_sd import sd_batch
 from nqr_geom.integrator.learn.snet import LearnedSampler, SNet, SNetConfig
 from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema
@@ -40,6 +40,8 @@ def problem_of(name: str, n: int) -> Problem:
     rows = torch.arange(n)
     if name == "walk":
         return LaplaceProblem.family(1, 5, "validation", points=n)
+    if name.startswith("sd"):
+        return sd_batch(rows, 5, "validation").problem
     return gwn_batch(rows, 5, "validation").problem if name.startswith("gwn") else ToyProblem(rows, 5, "validation")
 
 
@@ -205,9 +207,9 @@ def test_monte_carlo_on_its_samples_is_unbiased() -> None:
     assert abs(means.mean() - problem.reference()[0, 0]) < 4.5 * means.std() / 64.0
 
 
-@pytest.mark.parametrize("maker", [ToyGaps, CurveGaps], ids=["toy", "curve"])
-def test_gaps_tile_the_interval(maker: type[Gaps]) -> None:
-    problem = problem_of("toy" if maker is ToyGaps else "gwn", 20)
+@pytest.mark.parametrize("name", ["toy", "gwn", "sd"])
+def test_gaps_tile_the_interval(name: str) -> None:
+    problem, maker = problem_of(name, 20), {"toy": ToyGaps, "gwn": CurveGaps, "sd": SdGaps}[name]
     gaps = maker(problem, 10)
     for i in range(10):
         x = STREAM.uniform(problem.rows, torch.tensor(i))
@@ -257,4 +259,6 @@ def test_bad_arguments_are_named() -> None:
         LearnedSampler(JOINT["toy-nqr"].snet()).draw(Cube(torch.arange(2)), 4, STREAM)
     with pytest.raises(ValueError, match="expected a problem on curves"):
         CurveGaps(problem_of("toy", 1), 4)
+    with pytest.raises(ValueError, match="expected a smoothed distance"):
+        SdGaps(problem_of("gwn", 1), 4)
     assert SNetConfig.from_dict(GRID.to_dict()) == GRID
