@@ -187,6 +187,14 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="toy",
         ),
         Entry(
+            "walk-fit",
+            "nqr_geom.wos.structured:WalkFit",
+            "mean under the harmonic measure of the boundary that the walks have seen",
+            exact="constants",
+            linear=False,
+            needs="laplace",
+        ),
+        Entry(
             "balance-heuristic",
             _RULES + "BalanceHeuristic",
             "multiple importance sampling",
@@ -282,6 +290,7 @@ ALIASES: dict[str, str] = {
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",
+    "laplace:structured": "latin-hypercube+walk-fit",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "sd:inet": "stratified+inet-sd-uniform",

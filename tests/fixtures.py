@@ -17,6 +17,7 @@ from nqr_geom import registry
 from nqr_geom.integrator.problem import Problem, Samples
 from nqr_geom.registry import Entry
 from nqr_geom.streams import Stream
+from nqr_geom.wos.record import ALIVE, VALUE
 from tests.integrands import TwoTechniques, smooth
 
 _CONTROL = np.random.default_rng(3).random((6, 3, 2))
@@ -92,6 +93,7 @@ BRINGS: dict[str, tuple[str, ...]] = {
     "toy": ("toy",),
     "gwn": ("gwn",),
     "sd": ("sd",),
+    "laplace": ("laplace",),
 }
 
 
@@ -161,6 +163,10 @@ def accepted(rule: Entry, n: int) -> list[tuple[str, str, Samples]]:
 
 
 def with_values(samples: Samples, value: torch.Tensor) -> Samples:
-    """The same samples of another integrand; a derivative, where there is one, is that of a constant."""
+    """The same samples of another integrand; what features tell of it beside its value is that of a constant."""
     features = {k: torch.zeros_like(v) if k == "derivative" else v for k, v in samples.seen.features.items()}
+    if "steps" in features:  # of walks: the boundary value before every step
+        steps = features["steps"].unflatten(-1, (samples.dim, -1)).clone()
+        steps[..., VALUE] = steps[..., ALIVE] * value[:, :1, :, :1].expand(steps.shape[0], -1, -1, -1)
+        features["steps"] = steps.flatten(-2)
     return replace(samples, seen=replace(samples.seen, value=value.expand_as(samples.value), features=features))

@@ -87,7 +87,7 @@ def _collected(steps, end, value, loops, seen):  # type: ignore[no-untyped-def]
 
 @_kernel
 def _sorted(seen, count, total, keys, ordered):  # type: ignore[no-untyped-def]
-    """Samples by rising arc length without repeats; the first that knows its way speaks for all."""
+    """Samples by rising arc length without repeats."""
     # Arc length in 40 bits and the index below it: one array of integers to sort.
     for k in range(count):
         keys[k] = (np.int64(seen[k, 0] / total * 2.0**40) << 22) | k
@@ -96,8 +96,12 @@ def _sorted(seen, count, total, keys, ordered):  # type: ignore[no-untyped-def]
     for place in range(count):
         k = keys[place] & 0x3FFFFF
         if kept and seen[k, 0] - ordered[kept - 1, 0] <= _SAME * total:
-            if ordered[kept - 1, 4] == 0.0 and ordered[kept - 1, 5] == 0.0:
-                ordered[kept - 1] = seen[k]
+            here = ordered[kept - 1]  # of several ways the same one, in whatever order the walks came
+            unknown = here[4] == 0.0 and here[5] == 0.0
+            if (seen[k, 4] != 0.0 or seen[k, 5] != 0.0) and (
+                unknown or seen[k, 4] > here[4] or (seen[k, 4] == here[4] and seen[k, 5] > here[5])
+            ):
+                here[4], here[5] = seen[k, 4], seen[k, 5]
             continue
         ordered[kept] = seen[k]
         kept += 1
