@@ -274,6 +274,19 @@ def _show(measured: Frontier, title: str) -> None:
     out_console.print(table)
 
 
+def _report(title: str, estimate: Any) -> None:
+    """What a scene or volume called for and what ran."""
+    kernels = estimate.plan["kernels"]
+    table = Table(title=title, box=box.SIMPLE_HEAD, show_header=False)
+    table.add_row("effects", ", ".join(sorted(estimate.effects)) or "none")
+    table.add_row("kernels", (kernels if isinstance(kernels, str) else ", ".join(kernels)) or "none")
+    for kind, count in estimate.counts.items():
+        table.add_row(kind, f"{count:,}")
+    for stage, seconds in estimate.stages.items():
+        table.add_row(f"seconds: {stage}", f"{seconds:.3f}")
+    out_console.print(table)
+
+
 @app.command
 def render(
     scene: Annotated[
@@ -309,15 +322,41 @@ def render(
         image = image + lights_seen(made)
     path = save_picture(out, image)
     if report:
-        table = Table(title=f"{scene}: {method}, {spp} passes", box=box.SIMPLE_HEAD, show_header=False)
-        table.add_row("effects", ", ".join(sorted(estimate.effects)) or "none")
-        table.add_row("kernels", estimate.plan["kernels"])
-        for name, count in estimate.counts.items():
-            table.add_row(name, f"{count:,}")
-        for name, seconds in estimate.stages.items():
-            table.add_row(f"seconds: {name}", f"{seconds:.3f}")
-        out_console.print(table)
+        _report(f"{scene}: {method}, {spp} passes", estimate)
     out_console.print(f"wrote {path}", highlight=False)
+
+
+@app.command
+def transmittance(
+    source: Annotated[
+        str, Parameter(help="cloud, donut, or a .npy file with densities (nx, ny, nz), whose longest side has length 1.")
+    ] = "cloud",
+    *,
+    text: Annotated[bool, Parameter(help="Take SOURCE as text and fill its letters with cloud.")] = False,
+    density: Annotated[float, Parameter(help="Times the densities.")] = 1.0,
+    axis: Annotated[str, Parameter(help="Direction of the rays: x, y or z.")] = "z",
+    method: Annotated[
+        str,
+        Parameter(
+            help="stratified, random, trapezoid, regression, jackknife, structured, ratio, track-length, "
+            "unbiased-raymarching, or sampler+rule."
+        ),
+    ] = "stratified",
+    samples: Annotated[int, Parameter(name=["--samples", "-n"], help="Density queries per ray.")] = 24,
+    resolution: Annotated[int, Parameter(help="Pixels of the picture's longer side.")] = 256,
+    seed: Seed = 0,
+    report: Annotated[bool, Parameter(help="Say what the volume calls for and what ran.")] = False,
+    out: Annotated[Path, Parameter(help="A picture (.png) or values (.npy).")] = Path("transmittance.png"),
+) -> None:
+    """Draw the light that gets through a volume."""
+    from nqr_geom.through import named_volume, save_image, see_through
+
+    check.choice("out", out.suffix.lower(), (".png", ".npy"))
+    volume = named_volume(source, text=text, density=density, seed=seed)
+    image, estimate = see_through(volume, axis=axis, resolution=resolution, method=method, n=samples, seed=seed)
+    if report:
+        _report(f"{source}: {method}, {samples} queries", estimate)
+    out_console.print(f"wrote {save_image(out, image)}", highlight=False)
 
 
 @app.command

@@ -35,7 +35,7 @@ def letters(text: str = "NQR", seed: int = 0, resolution: int = 193) -> Extrusio
     Returns
     -------
     Extrusion
-        Three units thick, with the noise of the training family.
+        Plates 1.5 thick in a coat 0.8 deep, with the noise of the training family.
 
     Examples
     --------
@@ -54,4 +54,4 @@ def letters(text: str = "NQR", seed: int = 0, resolution: int = 193) -> Extrusio
     points = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     distance = scale * signed_distance(outline, (points - 5.0) / scale + 0.5 * (low + high))
     noise = replace(CloudFamily().noise, seed=seed)
-    return Extrusion(distance.reshape(len(line), -1), 3.0, 0.8, [0.0] * 3, [10.0] * 3, noise=noise)
+    return Extrusion(distance.reshape(len(line), -1), 1.5, 0.8, [0.0] * 3, [10.0] * 3, noise=noise)

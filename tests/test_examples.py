@@ -17,7 +17,15 @@ def examples_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_example_is_left_out() -> None:
     names = {path.stem for path in EXAMPLES.glob("*.py")} - {"__init__"}
-    assert names == {"gwn_of_svg", "sd_of_text", "toy_rules", "toy_frontier", "p_laplace_values", "walks_from_a_point"}
+    assert names == {
+        "gwn_of_svg",
+        "light_through_a_cloud",
+        "p_laplace_values",
+        "sd_of_text",
+        "toy_frontier",
+        "toy_rules",
+        "walks_from_a_point",
+    }
 
 
 def test_gwn_of_svg(tmp_path: Path) -> None:
@@ -48,6 +56,12 @@ def test_p_laplace_values(tmp_path: Path) -> None:
     assert centre[2.0] == pytest.approx(0.25, abs=1e-6)
     assert centre[3.0] == pytest.approx(0.33582, abs=1e-4)
     assert (tmp_path / "p_laplace_values.png").stat().st_size > 10_000
+
+
+def test_light_through_a_cloud(tmp_path: Path) -> None:
+    gain = import_module("examples.light_through_a_cloud").main(tmp_path, resolution=64)
+    assert gain == pytest.approx(51.5, rel=0.02)
+    assert (tmp_path / "light_through_a_cloud.png").stat().st_size > 10_000
 
 
 def test_walks_from_a_point(tmp_path: Path) -> None:

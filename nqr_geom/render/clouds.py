@@ -159,17 +159,17 @@ class Torus(Volume):
 
 @dataclass(frozen=True, eq=False)
 class Extrusion(Volume):
-    """A flat outline of some thickness, by its signed distance on a grid; letters are made of these.
+    """A plate of any outline in a coat of cloud, u_geo = (distance to the plate / radius)^2; letters are made of these.
 
     Parameters
     ----------
     distance : (nx, ny) array_like
-        Signed distance to the outline, negative inside, at the nodes of a grid over the box's x and y,
-        bilinear in between.
+        Signed distance to the outline, negative inside, at the nodes of a grid over the box's x and y, bilinear in
+        between.
     thickness : float
-        Along z, > 0, in the middle of the box.
-    core : float
-        Depth below the surface, > 0, at which u_geo falls to 0.
+        Of the plate along z, >= 0, in the middle of the box.
+    radius : float
+        Distance from the plate, > 0, at which u_geo is 1.
     low, high : (3,) array_like
         Corners of the box.
     density, noise
@@ -182,14 +182,14 @@ class Extrusion(Volume):
     Examples
     --------
     >>> x, y = np.meshgrid(np.linspace(-1, 1, 65), np.linspace(-1, 1, 65), indexing="ij")
-    >>> coin = Extrusion(np.hypot(x, y) - 0.5, 0.5, 0.25, [-1, -1, -1], [1, 1, 1])
-    >>> coin.components([[0, 0, 0], [0.5, 0, 0], [0, 0, 0.25]]).density.round(6)
-    array([1., 0., 0.])
+    >>> coin = Extrusion(np.hypot(x, y) - 0.5, 0.25, 0.5, [-1, -1, -1], [1, 1, 1])
+    >>> coin.components([[0, 0, 0], [0.75, 0, 0], [0, 0, 0.625]]).density.round(6)
+    array([1.  , 0.75, 0.  ])
     """
 
     distance: Any
     thickness: float
-    core: float
+    radius: float
     low: Any
     high: Any
     density: float = 1.0
@@ -202,27 +202,27 @@ class Extrusion(Volume):
         if min(distance.shape) < 2:
             raise ValueError(f"distance: expected at least two nodes along each axis, got shape {distance.shape}")
         object.__setattr__(self, "distance", distance)
-        check.number("thickness", self.thickness, low=0.0, open_low=True)
-        check.number("core", self.core, low=0.0, open_low=True)
+        check.number("thickness", self.thickness, low=0.0)
+        check.number("radius", self.radius, low=0.0, open_low=True)
         self._check_box()
 
     def parts(self) -> Floats:
         part = np.zeros((1, PART))
-        part[0, :3] = 0.5 * (self.high[2] - self.low[2]), 0.5 * self.thickness, self.core
+        part[0, :3] = 0.5 * (self.high[2] - self.low[2]), 0.5 * self.thickness, self.radius
         return part
 
     def values(self) -> Floats:
         return self.distance[:, :, None]
 
     def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """The slab of the extrusion and what its noise can reach."""
-        reach = 0.5 * self.thickness + self.core * (self.noise.bound if self.noise else 0.0)
+        """The slab around the plate that its coat and noise can reach."""
+        bound = self.noise.bound if self.noise else 0.0
+        reach = 0.5 * self.thickness + self.radius * math.sqrt(1.0 + bound)
         height = origins[:, 2] - 0.5 * (self.high[2] - self.low[2])
         slope = directions[:, 2]
-        safe = np.where(slope == 0.0, 1.0, slope)
+        flat, inside = slope == 0.0, np.abs(height) < reach
+        safe = np.where(flat, 1.0, slope)
         ends = np.sort(np.stack([(-reach - height) / safe, (reach - height) / safe]), axis=0)
-        inside = np.abs(height) < reach
-        flat = slope == 0.0
         near = np.where(flat, np.where(inside, -np.inf, np.inf), ends[0])
         far = np.where(flat, np.where(inside, np.inf, -np.inf), ends[1])
         return near[:, None], far[:, None]

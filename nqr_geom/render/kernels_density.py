@@ -21,7 +21,7 @@ class Packed:
     values: wp.array(dtype=wp.float64)  # grids, one after the other
     offset: wp.array(dtype=wp.int64)  # (S,) where a grid begins
     nodes: wp.array2d(dtype=wp.int32)  # (S, 3) of a grid
-    noise: wp.array2d(dtype=wp.float64)  # (S, 5): amplitude, frequency, gain, lacunarity, bound
+    noise: wp.array2d(dtype=wp.float64)  # (S, 6): amplitude, frequency, gain, lacunarity, bound, always
     octaves: wp.array2d(dtype=wp.int32)  # (S, 2): octaves, seed
 
 
@@ -115,17 +115,19 @@ def _torus(m: Packed, v: int, p: wp.vec3d, d: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def _extrusion(m: Packed, v: int, p: wp.vec3d, d: wp.vec3d) -> wp.vec3d:
-    middle, half, core = m.parts[v, 0, 0], m.parts[v, 0, 1], m.parts[v, 0, 2]
+    middle, half, radius = m.parts[v, 0, 0], m.parts[v, 0, 1], m.parts[v, 0, 2]
+    inverse = wp.float64(1.0) / (radius * radius)
+    zero = wp.float64(0.0)
     outline = trilinear(m, v, p)
     height = p[2] - middle
-    distance, slope = outline[0], outline[1] * d[0] + outline[2] * d[1]
-    if wp.abs(height) - half > distance:
-        distance, slope = wp.abs(height) - half, wp.sign(height) * d[2]
-    u = wp.float64(1.0) + distance / core
-    slope = slope / core
-    if u < wp.float64(0.0):
-        u, slope = wp.float64(0.0), wp.float64(0.0)
-    return wp.vec3d(u, slope, wp.float64(0.0))
+    aside, over = wp.max(outline[0], zero), wp.max(wp.abs(height) - half, zero)
+    outward, climb = zero, zero
+    if aside > zero:
+        outward = outline[1] * d[0] + outline[2] * d[1]
+    if over > zero:
+        climb = wp.sign(height) * d[2]
+    slope = wp.float64(2.0) * (aside * outward + over * climb)
+    return inverse * wp.vec3d(aside * aside + over * over, slope, outward * outward + climb * climb)
 
 
 _GEOMETRY = {
@@ -156,7 +158,7 @@ def _fbm(m: Packed, v: int, p: wp.vec3d) -> wp.float64:
 def components(kind: str, noisy: bool):
     """The function (volumes, v, p, d) -> (u, u_geo, u_fBm, slope, bend, 1 if noise was evaluated) of a kind of volume.
 
-    Noise is evaluated only where some value of it could make the density positive.
+    Noise is evaluated only where some value of it could make the density positive, or always if the volume says so.
     """
     geometry = _GEOMETRY[kind]
 
@@ -177,9 +179,12 @@ def components(kind: str, noisy: bool):
         g = geometry(m, v, p, d)
         noise = wp.float64(0.0)
         evaluated = wp.int32(0)
-        if g[0] < one + m.noise[v, 4]:
+        matters = g[0] < one + m.noise[v, 4]
+        if matters or m.noise[v, 5] > wp.float64(0.0):
             noise = _fbm(m, v, p)
             evaluated = 1
+        if not matters:
+            noise = wp.float64(0.0)
         return wp.clamp(one - g[0] + noise, wp.float64(0.0), one), g[0], noise, g[1], g[2], evaluated
 
     return rough

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nqr_geom.render.volume import PART, Grid, Homogeneous, Volume
+from nqr_geom.render.volume import PART, Grid, Homogeneous, Noise, Volume
 
 __all__ = ["Medium"]
 
@@ -80,6 +80,7 @@ class Medium:
             packed[k, : len(part)] = part
         noises = [v.noise for v in volumes]
         numbers = [(n.amplitude, n.frequency, n.gain, n.lacunarity, n.bound) if n else (0.0,) * 5 for n in noises]
+        always = np.full((len(volumes), 1), float(everything))
         arrays: dict[str, NDArray[Any]] = {
             "size": np.stack([v.high - v.low for v in volumes]),
             "density": np.array([v.majorant for v in volumes]),
@@ -88,8 +89,8 @@ class Medium:
             "values": np.concatenate([grid.ravel() for grid in grids]),
             "offset": np.cumsum([0] + [grid.size for grid in grids[:-1]]).astype(np.int64),
             "nodes": np.array([grid.shape for grid in grids], np.int32),
-            "noise": np.array(numbers),
-            "octaves": np.array([(n.octaves, n.seed) if n else (0, 0) for n in noises], np.int32),
+            "noise": np.concatenate([np.array(numbers), always], axis=1),
+            "octaves": np.array([(n.octaves, n.seed) if n else (Noise.octaves, 0) for n in noises], np.int32),
         }
         return cls(kind, noisy, {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()})
 

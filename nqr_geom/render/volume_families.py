@@ -1,8 +1,9 @@
 """The random clouds of Fig. 40: 16 spheres in [0, 10]^3 with noise and majorant 1, calibrated to Table 12.
 
-The paper leaves the constants open. They were chosen on clouds of the split "train" so that the classical rows of Table 12
-come out on the test split (`benchmarks/transmittance.py`). "Stratified" there means uniform jitter, one random shift of
-equal steps: with independent jitter no constants give its 50 times Monte Carlo and 56 for the trapezoid together.
+The paper leaves the constants open. They were chosen on clouds of the split "train" so that the classical rows of
+Table 12 come out on the test split (`benchmarks/transmittance.py`). "Stratified" there means uniform jitter, one random
+shift of equal steps: with independent jitter no constants that were tried give its 50 times Monte Carlo and 56 for the
+trapezoid together.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class CloudFamily:
     noise: Noise = field(default_factory=Noise)
 
 
-def volumes(n: int, seed: int = 0, split: str = "test", family: CloudFamily | None = None) -> list[Volume]:
+def volumes(n: int, seed: int = 0, split: str = "test", family: CloudFamily | None = None) -> list[Spheres]:
     """The first n clouds of a seed and split; the same index is the same cloud.
 
     Parameters
@@ -62,8 +63,8 @@ def volumes(n: int, seed: int = 0, split: str = "test", family: CloudFamily | No
 
     Returns
     -------
-    list of Volume
-        `Spheres` with noise in the box [0, 10]^3.
+    list of Spheres
+        With noise in the box [0, 10]^3.
 
     References
     ----------

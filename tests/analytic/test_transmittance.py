@@ -113,12 +113,12 @@ def test_through_the_tube_of_a_ring():
 
 
 def test_across_a_slab():
-    """u rises linearly to 1 over the core on both sides of the slab, far from the outline."""
+    """Density 1 in the plate, 1 - (s/R)^2 at a distance s: thickness + 4/3 R, far from the outline."""
     slab = render.Extrusion(np.full((3, 3), -9.0), 2.0, 0.5, [0, 0, 0], [1, 1, 10])
     for method in ("structured", "stratified"):
-        assert depth(slab, [0.5, 0.5, -9], [0, 0, 1], method=method, n=500) == pytest.approx(1.5, rel=1e-3)
-    thin = render.Extrusion(np.full((3, 3), -9.0), 0.5, 0.5, [0, 0, 0], [1, 1, 10])
-    assert depth(thin, [0.5, 0.5, -9], [0, 0, 1], n=200) == pytest.approx(0.125, rel=1e-3)
+        assert depth(slab, [0.5, 0.5, -9], [0, 0, 1], method=method, n=500) == pytest.approx(2.0 + 4.0 / 3.0 * 0.5, rel=1e-3)
+    thin = render.Extrusion(np.full((3, 3), -9.0), 0.0, 0.5, [0, 0, 0], [1, 1, 10])
+    assert depth(thin, [0.5, 0.5, -9], [0, 0, 1], n=200) == pytest.approx(2.0 / 3.0, rel=1e-3)
 
 
 def test_noise_is_clamped_as_equation_9_says():

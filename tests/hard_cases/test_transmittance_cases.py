@@ -180,9 +180,9 @@ FOG = render.Homogeneous([0] * 3, [1] * 3)
             r"distance: expected shape \(nx, ny\)",
         ),
         (
-            lambda: render.Extrusion(np.ones((2, 2)), 0, 1, [0] * 3, [1] * 3),
+            lambda: render.Extrusion(np.ones((2, 2)), -1, 1, [0] * 3, [1] * 3),
             ValueError,
-            "thickness: expected a number >",
+            "thickness: expected a number >= 0",
         ),
         (lambda: render.Noise(amplitude=-1), ValueError, "amplitude: expected a number >= 0"),
         (lambda: render.Noise(octaves=0), ValueError, "octaves: expected an integer >= 1"),
