@@ -150,4 +150,21 @@ def boundary_values(samples: Samples) -> Tensor:
     return torch.where(seen[..., 9::10] > 0.0, seen[..., 4::10], samples.value)[..., None, :]
 
 
-WALK_TOKENS = Extra(12 * _STEP + _END, walk_tokens, beside=boundary_values)
+def reach(samples: Samples) -> Tensor:
+    """Logarithm of how far walks end from the query, in first radii, (B, N, 1, 1): what tells a foreign scale."""
+    first = samples.feature("steps", "inet")[:, :1, 0, 2:3]  # (B, 1, 1)
+    radius = torch.where(first > 0.0, first, 1.0)
+    end = samples.feature("end", "inet")[:, :, 0, :2] / radius
+    return torch.hypot(end[..., 0], end[..., 1]).clamp(1e-6, 1e6).log().float()[:, :, None, None]
+
+
+# A corner cut off at the last step, or a query in the shell, may end nearer than the first radius; nothing ends farther
+# than the domain is wide.
+WALK_TOKENS = Extra(
+    12 * _STEP + _END,
+    walk_tokens,
+    checked=(12 * _STEP + 2,),
+    beside=boundary_values,
+    check=reach,
+    taught=("known",),
+)

@@ -62,6 +62,8 @@ class Recipe:
         Numbers of samples and their shares of the iterations.
     designs : tuple of str
         Samplers; every batch is divided evenly among them.
+    largest : int
+        Samples beyond which the network is not called, because attention costs more than it brings.
     surplus : int
         Integrals that are drawn for one that is learned from. A network that corrects only what its base rule flags
         (`INetConfig.doubtful_only`) learns from flagged integrals alone.
@@ -81,6 +83,7 @@ class Recipe:
     extra: Extra | None = None
     sizes: tuple[tuple[int, float], ...] = ((32, 1.0),)
     designs: tuple[str, ...] = ("random", "stratified")
+    largest: int = 4096
     surplus: int = 1
     huber: float = 1.0
     inner: float = 0.2

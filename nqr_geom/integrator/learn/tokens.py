@@ -39,6 +39,8 @@ class Extra:
         Samples to further values of the integrand's kind that were seen with each, (B, N, T, C, K).
     check : callable, optional
         The checked ones alone, (B, N, T, len(checked)), of samples in any order, where that is cheaper.
+    taught : tuple of str
+        Features that only the samples of a training family bring.
     """
 
     size: int
@@ -46,6 +48,7 @@ class Extra:
     checked: tuple[int, ...] = ()
     beside: Callable[[Samples], Tensor] | None = None
     check: Callable[[Samples], Tensor] | None = None
+    taught: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -279,7 +279,8 @@ class Model(Rule):
         return inside
 
     def combine(self, samples: Samples) -> Combination:
-        if samples.dim != self.card.config.tokens.dim or set(samples.seen.features) != set(self.sees):
+        taught = self.learned.extra.taught if self.learned.extra else ()
+        if samples.dim != self.card.config.tokens.dim or set(samples.seen.features).difference(taught) != set(self.sees):
             have = ", ".join(samples.seen.features) or "none"
             raise ValueError(f"rule: {self.name!r} needs samples of {self.card.problem!r}, these have features {have}")
         safe = self.consistent.combine(samples)
