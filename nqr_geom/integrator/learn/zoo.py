@@ -280,7 +280,8 @@ class Model(Rule):
 
     def combine(self, samples: Samples) -> Combination:
         taught = self.learned.extra.taught if self.learned.extra else ()
-        if samples.dim != self.card.config.tokens.dim or set(samples.seen.features).difference(taught) != set(self.sees):
+        features = set(samples.seen.features).difference(taught)
+        if samples.dim != self.card.config.tokens.dim or features != set(self.sees):
             have = ", ".join(samples.seen.features) or "none"
             raise ValueError(f"rule: {self.name!r} needs samples of {self.card.problem!r}, these have features {have}")
         safe = self.consistent.combine(samples)
