@@ -233,8 +233,9 @@ def draw(rows: list[dict[str, Any]], history: dict[str, dict[str, list[float]]],
     labels = [f"{low:g} to {high:g}" for low, high in pairwise(NEAR[:-1])] + [f"over {NEAR[-2]:g}"]
     for row in rows:
         style = {"color": "0.15", "ls": "--"} if row["variant"] == "MC" else {"color": colours[row["variant"]]}
-        right.plot(labels, row["mse_by_distance"], "o-", ms=4.0, lw=1.2, label=row["variant"], **style)
+        right.plot(labels, row["mse_by_distance"], marker="o", ms=4.0, lw=1.2, label=row["variant"], **style)
     right.set(xlabel="distance from the curve", ylabel="mean squared error, held-out shapes", yscale="log")
+    right.set_title("dashed: Monte Carlo", fontsize=9)
     for panel in (left, right):
         panel.grid(color="0.92")
     save(picture, path)

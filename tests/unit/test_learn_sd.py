@@ -85,6 +85,7 @@ def test_one_training_integral_in_four_has_another_size() -> None:
         np.testing.assert_allclose(size, factor[:, None] * plain, rtol=1e-12)
         others = rows % 4 == 0
         assert (factor[~others] - 1.0).abs().max() < 1e-12
+        assert (batch.problem.points.abs().amax(dim=1) <= factor).all()  # the query is scaled with its shape
         if split == "train":
             assert factor[others].min() < 1.3 * SIZES[0]
             assert factor[others].max() > SIZES[1] / 1.3
@@ -119,7 +120,10 @@ def test_tokens_hold_the_integral_over_chords(shapes: tuple[Tensor, Tensor]) -> 
     control[:, :, 1] = 0.5 * (control[:, :, 0] + control[:, :, 2])
     points = shapes[1]
     samples = seen(problem_of(control, points), 768)
-    logs = 3.0 * SD_TOKENS.compute(samples).double()[:, 0, 0, -1]
+    weights, logs = (3.0 * SD_TOKENS.compute(samples).double()[:, :, 0, k] for k in (-2, -1))
+    logs, value = logs[:, 0], samples.value[..., 0, 0]
+    # The weights that a token proposes give that integral.
+    np.testing.assert_allclose((value * weights.exp()).mean(dim=1), value.mean(dim=1) * logs.exp(), rtol=1e-4)
     truth = torch.from_numpy(exact(control, points))[:, None]
     inner = inner_answer(truth, problem_of(control, points).finalize(samples)[1])
     rows = near_distance(shapes[0], points) > 0.05
