@@ -37,7 +37,7 @@ def scenes(resolution: int) -> dict[str, Callable[[], Made]]:
         "no noise": lambda: (replace(cloud, noise=None), rays),
         "noise of amplitude zero": lambda: (replace(cloud, noise=render.Noise(amplitude=0.0)), rays),
         "rays that miss the box": lambda: (cloud, wide),
-        "nothing absent": lambda: (cloud, rays),
+        "noise where it cannot matter": lambda: (cloud, rays),
     }
 
 

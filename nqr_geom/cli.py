@@ -329,7 +329,7 @@ def render(
 @app.command
 def transmittance(
     source: Annotated[
-        str, Parameter(help="cloud, donut, or a .npy file with densities (nx, ny, nz), whose longest side has length 1.")
+        str, Parameter(help="cloud, donut, or a .npy file of densities (nx, ny, nz), whose longest side has length 1.")
     ] = "cloud",
     *,
     text: Annotated[bool, Parameter(help="Take SOURCE as text and fill its letters with cloud.")] = False,

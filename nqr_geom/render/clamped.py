@@ -25,7 +25,7 @@ __all__ = ["ClampedNoise", "NoiseRefine"]
 # Warp's gradient noise of frequency 1: variance, and decay of the correlation exp(-_DECAY r^2) (measured to 0.03).
 _VARIANCE = 0.0366
 _DECAY = 3.5
-_NODES = 8  # midpoints in each gap
+_NODES = 8  # midpoints in each gap for the answer; the sampler looks at half of them
 _NEEDS = ("length", "optical_length", "u_geo", "slope", "bend", "u_fbm", "noise")
 
 
@@ -51,7 +51,7 @@ def _over_nodes(values: Tensor) -> Tensor:
     first, *others = values.unbind(dim=-1)
     for node in others:
         first = first + node
-    return first / _NODES
+    return first / values.shape[-1]
 
 
 def _correlation(distance: Tensor, noise: Tensor) -> Tensor:
@@ -89,7 +89,7 @@ def _pinned(left: Tensor, right: Tensor, noise: Tensor, value: Tensor, spread: T
     known[:, 0] = known[:, -1] = 0.0
     to_left = _correlation(left, noise) * known[:, :-1, None]
     to_right = _correlation(right, noise) * known[:, 1:, None]
-    between = _correlation(left + right, noise) * (known[:, :-1] * known[:, 1:])[..., None]
+    between = _correlation(left[..., :1] + right[..., :1], noise) * (known[:, :-1] * known[:, 1:])[..., None]
     determinant = (1.0 - between.square()).clamp_min(1e-9)
     from_left = (to_left - between * to_right) / determinant
     from_right = (to_right - between * to_left) / determinant
@@ -98,12 +98,12 @@ def _pinned(left: Tensor, right: Tensor, noise: Tensor, value: Tensor, spread: T
     return mean, spread.square() * left_over.clamp_min(0.0)
 
 
-def _gaps(x: Tensor, features: dict[str, Tensor]) -> _Gaps:
+def _gaps(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> _Gaps:
     """The field between samples at sorted x (B, N) with features (B, N) each, except "noise" (B, 5)."""
     zero, one = torch.zeros_like(x[:, :1]), torch.ones_like(x[:, :1])
     edges = torch.cat([zero, x, one], dim=1)
     width = edges.diff(dim=1)
-    at = (torch.arange(_NODES, device=x.device, dtype=x.dtype) + 0.5) / _NODES
+    at = (torch.arange(nodes, device=x.device, dtype=x.dtype) + 0.5) / nodes
     step = width[..., None] * features["length"][:, :1, None]
     left, right = step * at, step * (1.0 - at)
 
@@ -187,7 +187,7 @@ class NoiseRefine(Sampler):
         while (have := sum(p.shape[1] for p in places)) < n:
             samples = self._samples(places, seen)
             ordered, features = _sorted(samples, self.name)
-            gaps = _gaps(ordered, features)
+            gaps = _gaps(ordered, features, _NODES // 2)
             doubt = gaps.width.square() * _over_nodes(gaps.variance) + 1e-9 * gaps.width.square()
             more = min(n - have, math.ceil((n - start) / self.rounds), have + 1)
             worst = doubt.argsort(dim=1, descending=True, stable=True)[:, :more].sort(dim=1).values

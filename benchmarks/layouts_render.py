@@ -1,0 +1,64 @@
+"""How the figures of rendering stand in tables."""
+
+from __future__ import annotations
+
+from page import Row, interval, markdown, short
+
+
+def transmittance(rows: list[Row]) -> str:
+    return markdown(
+        [
+            "24 queries a ray",
+            "mean squared error",
+            "x random",
+            "95%",
+            "paper",
+            "median",
+            "99%",
+            "queries",
+            "noise",
+            "us a ray",
+        ],
+        [
+            [
+                f"{row['set']}: {row['method']}",
+                short(row["mse"]),
+                short(row["ratio"]),
+                interval(row),
+                short(row["paper_ratio"]) if row["paper_ratio"] else "",
+                short(row["median"]),
+                short(row["p99"]),
+                f"{row['queries_a_ray']:.1f}",
+                f"{row['noise_a_ray']:.1f}",
+                short(row["us_a_ray"]),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def transmittance_bias(rows: list[Row]) -> str:
+    """A squared bias below what the mean of all runs still holds of noise is not told from none."""
+    return markdown(
+        ["mean of 256 runs", "mean squared error of one", "squared bias", "share of it"],
+        [
+            [
+                f"{row['set']}: {row['method']}",
+                short(row["mse"]),
+                short(row["bias2"]) if row["bias2"] > row["noise"] else f"below {short(row['noise'])}",
+                f"{max(row['bias2'], row['noise']) / row['mse']:.1%}",
+            ]
+            for row in rows
+        ],
+    )
+
+
+def effects(rows: list[Row]) -> str:
+    return markdown(
+        ["what is absent", "ms", "with everything on", "times", "queries", "of", "noise evaluations", "of"],
+        [
+            [row["absent"], short(row["ms"]), short(row["everything_ms"]), short(row["times"])]
+            + [f"{count:,}" for pair in (row["queries"], row["noise"]) for count in pair]
+            for row in rows
+        ],
+    )
