@@ -96,6 +96,13 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             dims="1",
         ),
         Entry(
+            "array-rqmc",
+            "nqr_geom.integrator.array_rqmc:ArrayRqmc",
+            "walks sorted before every step, neighbours sent in different directions",
+            needs="laplace",
+            adaptive=True,
+        ),
+        Entry(
             "curve-refine",
             _CURVES + "structured:CurveRefine",
             "piece ends and middles, then the gap that matters most to the query",
@@ -291,6 +298,7 @@ ALIASES: dict[str, str] = {
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",
     "laplace:structured": "latin-hypercube+walk-fit",
+    "laplace:wos-rqmc": "array-rqmc+mc",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "sd:inet": "stratified+inet-sd-uniform",

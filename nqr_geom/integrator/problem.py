@@ -444,6 +444,10 @@ class WalkProblem(Problem):
     def finish(self, state: Any) -> Observation:
         """Values and features of the finished walks."""
 
+    def rank(self, state: Any) -> Tensor:
+        """A number for each walk, (B, n): walks with near numbers are alike. By default there is no telling."""
+        return self.rows.new_zeros(self.batch, 1).expand(-1, next(iter(self.observe(state).values())).shape[1])
+
     def evaluate(self, x: Tensor) -> Observation:
         """Walk all steps; x is (B, N, D) with one coordinate a step."""
         state = self.start(x.shape[1])

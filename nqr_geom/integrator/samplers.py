@@ -31,10 +31,11 @@ __all__ = [
     "Stratified",
     "UniformJitter",
     "cells_per_axis",
+    "scrambled",
 ]
 
 _MASK32 = 0xFFFFFFFF
-_BELOW_ONE = 1.0 - 2.0**-53
+BELOW_ONE = 1.0 - 2.0**-53
 _CERTAIN = 1e-8  # posterior variance, relative to the prior's, that counts as none
 
 
@@ -74,7 +75,7 @@ class FixedDesign(Sampler):
         if self.only_1d and problem.dim != 1:
             raise ValueError(f"sampler: {self.name!r} needs a 1-D problem, {problem.name!r} has {problem.dim}")
         # A sum like (cell + u) / n may round up to 1, where floor(pieces * x) would leave its range.
-        x = self.points(problem.rows, n, problem.dim, stream).clamp_max(_BELOW_ONE)
+        x = self.points(problem.rows, n, problem.dim, stream).clamp_max(BELOW_ONE)
         batch = problem.batch
         pdf = x.new_ones(batch, n, problem.techniques) if self.uniform else None
         stratum = volume = None
@@ -257,7 +258,7 @@ def sobol_reversed(n: int, dim: int) -> np.ndarray:
     return _reverse32(torch.as_tensor((points * 2.0**32).astype(np.int64))).numpy()
 
 
-def _scrambled(reversed_bits: Tensor, keys: tuple[Tensor, ...], stream: Stream) -> Tensor:
+def scrambled(reversed_bits: Tensor, keys: tuple[Tensor, ...], stream: Stream) -> Tensor:
     """Scramble every axis of every row with its own key; the digits below 2^-32 are random."""
     rows, samples, axes = keys
     scramble = stream.child("scramble").bits(rows, axes) & _MASK32
@@ -272,7 +273,7 @@ class Sobol(FixedDesign):
 
     def points(self, rows: Tensor, n: int, dim: int, stream: Stream) -> Tensor:
         base = torch.as_tensor(sobol_reversed(n, dim), device=rows.device)
-        return _scrambled(base, counters(rows, n, dim), stream)
+        return scrambled(base, counters(rows, n, dim), stream)
 
 
 class Pmj(FixedDesign):
@@ -297,7 +298,7 @@ class Pmj(FixedDesign):
                 order = _owen(index[None], key).argsort(dim=1)
                 pair = torch.gather(pair, 1, order[..., None].expand_as(pair))
             columns.append(pair)
-        return _scrambled(torch.cat(columns, dim=-1), keys, stream)
+        return scrambled(torch.cat(columns, dim=-1), keys, stream)
 
 
 @lru_cache(maxsize=4096)

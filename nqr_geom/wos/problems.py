@@ -257,7 +257,7 @@ class LaplaceProblem(WalkProblem):
             "loops": self._loops()[:, None, None].expand(-1, n, -1, -1),
         }
         last = torch.from_numpy(np.ascontiguousarray(value[..., -1]))
-        return Observation(last[:, :, None, None], features, queries=int(walks.made.sum()))
+        return Observation(last[:, :, None, None], features, None, None, int(walks.made.sum()), _outcomes(walks.alive))
 
     def step(self, state: WalkState, x: Tensor) -> WalkState:
         """Jump onto the largest circle in direction 2 pi x, where the walk has not ended."""
@@ -274,6 +274,11 @@ class LaplaceProblem(WalkProblem):
             state, position=position, edge=edge, t=t, distance=distance, alive=state.alive & outside, steps=steps
         )
 
+    def rank(self, state: WalkState) -> Tensor:
+        """Arc length of the closest boundary point; walks that have ended come last."""
+        arc = torch.from_numpy(self._arcs[state.edge.numpy(), 0] + state.t.numpy() * self._arcs[state.edge.numpy(), 1])
+        return torch.where(state.alive, arc, math.inf)
+
     def finish(self, state: WalkState) -> Observation:
         """Boundary value closest to each walk's last position, and the walk."""
         corner, arc, value = self._closest(state)
@@ -286,7 +291,8 @@ class LaplaceProblem(WalkProblem):
             "end": end[:, :, None],
             "loops": loops,
         }
-        return Observation(value[:, :, None, None], features, queries=int(state.steps.sum()))
+        outcomes = _outcomes(state.alive.numpy())
+        return Observation(value[:, :, None, None], features, None, None, int(state.steps.sum()), outcomes)
 
     def take(self, index: slice | Tensor) -> LaplaceProblem:
         return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index])
@@ -303,3 +309,9 @@ class LaplaceProblem(WalkProblem):
     def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
         """The deterministic solver."""
         return {"boundary": self.reference}
+
+
+def _outcomes(alive: NDArray[np.bool_]) -> dict[str, int]:
+    """Walks that reached the boundary and walks that the number of steps cut off."""
+    capped = int(alive.sum())
+    return {"walks_boundary": alive.size - capped, "walks_capped": capped}

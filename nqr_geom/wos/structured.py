@@ -108,7 +108,7 @@ def _sorted(seen, count, total, keys, ordered):  # type: ignore[no-untyped-def]
     return kept
 
 
-@_kernel
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fit_rows(  # type: ignore[no-untyped-def]
     steps, end, value, loops, step, fade, least, low, high, answer, hidden, lost, size
 ):
@@ -162,8 +162,9 @@ def fitted(steps: Floats, end: Floats, value: Floats, loops: Floats, *, step: fl
     """
     batch = len(steps)
     result = Fit(np.empty(batch), np.empty(batch), np.empty(batch), np.empty(batch, dtype=np.int64))
-    inputs: tuple[Any, ...] = tuple(np.ascontiguousarray(array) for array in (steps, end, value, loops))
-    over_rows(lambda i, j: _fit_rows(*inputs, step, fade, least, i, j, *result), batch)
+    arrays = (np.ascontiguousarray(array) for array in (steps, end, value, loops))
+    inputs: tuple[Any, ...] = (*arrays, step, fade, least)
+    over_rows(lambda i, j: _fit_rows(*inputs, i, j, *result), batch)
     return result
 
 
