@@ -1,4 +1,4 @@
-"""Random or jittered points, the tokens of `stencil`, an MLP and its weighted sum in one compiled pass.
+"""Random or jittered points, base rule, the tokens of `stencil`, an MLP and the weighted sum in one compiled pass.
 
 The same answer as sampler and rule one after the other, to the rounding of the weights' type: kernels are compiled for
 the type that they are given, float32 for speed, float64 where a test wants to see every digit agree.
@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
-from nqr_geom.curves.compiled import Floats, Ints, _at, _sort
+from nqr_geom.curves.compiled import _LEVELS, Floats, Ints, _at, _rebuilt, _sort
 from nqr_geom.keyed import mixed, unit, unsigned
 
-__all__ = ["Layers", "estimated"]
+__all__ = ["Estimated", "Layers", "estimated"]
 
 _TINY = 1e-280
 _SMALL = 1e-18
@@ -36,7 +37,8 @@ _kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"
 class Layers:
     """Weights (outputs, inputs) and biases (outputs,) of the three linear layers, float32 or float64 alike.
 
-    Outputs of hidden layers must be multiples of four; inputs of the first are padded to one.
+    Outputs of hidden layers must be multiples of four; inputs of the first are padded to one. The last gives g and h
+    of plain weights (`inet.correct`), and an offset too where the base rule is the rebuilt curve.
     """
 
     first: tuple[NDArray, NDArray]
@@ -48,11 +50,14 @@ class Layers:
             weights = getattr(self, name)[0]
             if weights.shape[0] % 4 or (name == "second" and weights.shape[1] % 4):
                 raise ValueError(f"{name}: expected multiples of 4 hidden channels, got {weights.shape}")
-        if self.first[0].shape[1] != _TOKENS or self.last[0].shape[0] != 2:
-            raise ValueError(
-                f"layers: expected {_TOKENS} inputs and 2 outputs, got {self.first[0].shape[1]} and "
-                f"{self.last[0].shape[0]}"
-            )
+        inputs, outputs = self.first[0].shape[1], self.last[0].shape[0]
+        if inputs != _TOKENS or outputs not in (2, 3):
+            raise ValueError(f"layers: expected {_TOKENS} inputs and 2 or 3 outputs, got {inputs} and {outputs}")
+
+    @property
+    def structured(self) -> bool:
+        """Whether they correct the rebuilt curve's winding number where that is in doubt, instead of plain weights."""
+        return self.last[0].shape[0] == 3
 
     @property
     def arrays(self) -> tuple[NDArray, ...]:
@@ -114,8 +119,8 @@ def _log(ratio):
 
 
 @_inline
-def _seen(c, k, px, py, row, n, jittered, raw, order, s, at, piece):
-    """Sorted samples of a query: fills s, piece and at = (x, y, dx/ds, dy/ds) relative to it, (n, ...)."""
+def _seen(c, k, px, py, row, n, jittered, raw, order, s, r, t, piece):
+    """Sorted samples of a query: fills s, piece, position from it r and tangent t = dx/ds, (n, ...)."""
     for i in range(n):
         raw[i] = unit(mixed(mixed(row, i), 0))
         if jittered:
@@ -125,22 +130,24 @@ def _seen(c, k, px, py, row, n, jittered, raw, order, s, at, piece):
         _sort(raw, order)
     for i in range(n):
         s[i] = raw[order[i]]
-        x, y, at[i, 2], at[i, 3], piece[i] = _at(c, k, s[i])
-        at[i, 0], at[i, 1] = x - px, y - py
+        x, y, t[i, 0], t[i, 1], piece[i] = _at(c, k, s[i])
+        r[i, 0], r[i, 1] = x - px, y - py
+    for i in range(n):
+        order[i] = i
 
 
 @_inline
-def _normalised(at, k, n, see, distance, length):
+def _normalised(r, t, k, n, see, distance, length):
     """Into see = (position from the query, unit tangent, speed), lengths in the mean length of a piece."""
     total = 0.0
     for i in range(n):
-        length[i] = math.sqrt(at[i, 2] ** 2 + at[i, 3] ** 2)
+        length[i] = math.sqrt(t[i, 0] ** 2 + t[i, 1] ** 2)
         total += length[i] / k
     mean = max(total / n, _TINY)
     for i in range(n):
-        see[i, 0], see[i, 1] = at[i, 0] / mean, at[i, 1] / mean
+        see[i, 0], see[i, 1] = r[i, 0] / mean, r[i, 1] / mean
         see[i, 4] = length[i] / k / mean
-        tx, ty = at[i, 2] / max(length[i], _TINY) * see[i, 4], at[i, 3] / max(length[i], _TINY) * see[i, 4]
+        tx, ty = t[i, 0] / max(length[i], _TINY) * see[i, 4], t[i, 1] / max(length[i], _TINY) * see[i, 4]
         size = max(math.sqrt(tx * tx + ty * ty), _SMALL)
         see[i, 2], see[i, 3] = tx / size, ty / size
         distance[i] = max(math.sqrt(see[i, 0] ** 2 + see[i, 1] ** 2), _SMALL)
@@ -163,7 +170,7 @@ def _alone(i, s, k, piece, see, distance, tokens):
 
 
 @_inline
-def _beside(i, g, n, s, piece, see, distance, tokens):
+def _beside(i, n, s, piece, see, distance, tokens):
     """What the gap between samples i and i + 1 tells both."""
     j = i + 1
     gap = math.log(max(n * (s[j] - s[i]), _CLOSEST)) / 3.0
@@ -199,11 +206,11 @@ def _ends(s, n, tokens):
 
 
 @_inline
-def _row_tokens(s, k, piece, at, see, distance, f, n, tokens):
+def _row_tokens(s, k, piece, r, t, see, distance, f, n, tokens):
     """All tokens of a row, the numbers of `tokens.tokenize`, limited and free of NaN."""
     for i in range(n):
-        x, y = at[i, 0], at[i, 1]
-        f[i] = (x * at[i, 3] - y * at[i, 2]) / (2.0 * math.pi * max(x * x + y * y, _TINY))
+        x, y = r[i, 0], r[i, 1]
+        f[i] = (x * t[i, 1] - y * t[i, 0]) / (2.0 * math.pi * max(x * x + y * y, _TINY))
         tokens[0, i] = math.copysign(math.log1p(abs(f[i])), f[i])
         tokens[1, i] = (i + 0.5) / n
         tokens[2, i] = math.log(n / 32.0)
@@ -212,7 +219,7 @@ def _row_tokens(s, k, piece, at, see, distance, f, n, tokens):
         _alone(i, s, k, piece, see, distance, tokens)
     _ends(s, n, tokens)
     for i in range(n - 1):
-        _beside(i, i, n, s, piece, see, distance, tokens)
+        _beside(i, n, s, piece, see, distance, tokens)
     for m in range(_TOKENS):
         for i in range(n):
             v = tokens[m, i]
@@ -230,6 +237,15 @@ def _weighed(f, out, n):
 
 
 @_inline
+def _shift(f, out, n):
+    """What h and o of the outputs add to a base rule that uses no values."""
+    total = 0.0
+    for i in range(n):
+        total += float(out[1, i]) / max(abs(f[i]), 1.0) * f[i] + float(out[2, i])
+    return total / n
+
+
+@_inline
 def _trapezoid(s, f, n):
     """The trapezoidal rule of sorted samples, extended as a constant to both ends."""
     total = 0.0
@@ -240,30 +256,69 @@ def _trapezoid(s, f, n):
     return total
 
 
+@_inline
+def _within(distance, see, box, n):
+    """Whether all samples are as far and as fast as those of the family."""
+    known = True
+    for i in range(n):
+        far, fast = _log(distance[i]), _log(see[i, 4])
+        known &= box[0, 0] <= far <= box[1, 0] and box[0, 1] <= fast <= box[1, 1]
+    return known
+
+
 @_kernel
 def _student_rows(
-    coefficients, pieces, shape, points, rows, key, n, jittered, box,
-    w1, b1, w2, b2, w3, b3, learned, safe, inside, start, stop,
+    coefficients, pieces, shape, points, rows, key, n, jittered, structured, box,
+    w1, b1, w2, b2, w3, b3, learned, safe, inside, doubtful, start, stop,
 ):  # fmt: skip
     padded = (n + _LANES - 1) // _LANES * _LANES
     raw, s, f, distance, length = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    order, piece, at, see = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 4)), np.empty((n, 5))
+    order, piece = np.empty(n, np.int64), np.empty(n, np.int64)
+    r, t, see = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 5))
+    stack, levels = np.empty((2 * _LEVELS + 4, 8)), np.empty(2 * _LEVELS + 4, np.int64)
     tokens = np.zeros((w1.shape[1], padded), w1.dtype)
     one, two = np.empty((w1.shape[0], padded), w1.dtype), np.empty((w2.shape[0], padded), w1.dtype)
-    out = np.empty((2, padded), w1.dtype)
+    out = np.empty((w3.shape[0], padded), w1.dtype)
     for b in range(start, stop):
         c, k = coefficients[shape[b]], pieces[shape[b]]
-        _seen(c, k, points[b, 0], points[b, 1], mixed(key, rows[b]), n, jittered, raw, order, s, at, piece)
-        _normalised(at, k, n, see, distance, length)
-        _row_tokens(s, k, piece, at, see, distance, f, n, tokens)
-        known = True
-        for i in range(n):
-            far, fast = _log(distance[i]), _log(see[i, 4])
-            known &= box[0, 0] <= far <= box[1, 0] and box[0, 1] <= fast <= box[1, 1]
+        _seen(c, k, points[b, 0], points[b, 1], mixed(key, rows[b]), n, jittered, raw, order, s, r, t, piece)
+        inside[b], doubtful[b] = True, False
+        if structured:
+            safe[b], doubtful[b] = _rebuilt(s, r, t, piece, k, order, stack, levels)
+            learned[b] = safe[b]
+            if not doubtful[b] or not w1.size:
+                continue
+        _normalised(r, t, k, n, see, distance, length)
+        inside[b] = _within(distance, see, box, n)
+        _row_tokens(s, k, piece, r, t, see, distance, f, n, tokens)
         _layer(w1, b1, tokens, one)
         _layer(w2, b2, one, two)
         _outputs(w3, b3, two, out)
-        learned[b], safe[b], inside[b] = _weighed(f, out, n), _trapezoid(s, f, n), known
+        if structured:
+            learned[b] += _shift(f, out, n)
+        else:
+            learned[b], safe[b] = _weighed(f, out, n), _trapezoid(s, f, n)
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """What a pass gives, each (B,).
+
+    Parameters
+    ----------
+    learned, safe : ndarray, float64
+        The student's estimate, and on the same points that of the rule it fades to: the trapezoid, or the rebuilt
+        curve.
+    inside : ndarray, bool
+        Integrals inside the box.
+    doubtful : ndarray, bool
+        Integrals that the rebuilt curve leaves in doubt; elsewhere the network was not asked.
+    """
+
+    learned: Floats
+    safe: Floats
+    inside: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
 
 
 def estimated(
@@ -277,8 +332,8 @@ def estimated(
     jittered: bool,
     box: Floats,
     layers: Layers,
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """A student's estimate and the trapezoid's on the same points, and whether the row is inside the box, (B,) each.
+) -> Estimated:
+    """Run a student over all queries.
 
     Parameters
     ----------
@@ -289,7 +344,9 @@ def estimated(
     layers : Layers
         Its weights.
     """
-    learned, safe, inside = np.empty(len(points)), np.empty(len(points)), np.empty(len(points), dtype=np.bool_)
-    fixed = (coefficients, pieces, shape, points, rows, unsigned(key), n, jittered, box, *layers.arrays)
-    over_rows(lambda start, stop: _student_rows(*fixed, learned, safe, inside, start, stop), len(points))
-    return learned, safe, inside
+    count = len(points)
+    result = Estimated(np.empty(count), np.empty(count), np.empty(count, np.bool_), np.empty(count, np.bool_))
+    known = (coefficients, pieces, shape, points, rows, unsigned(key), n, jittered, layers.structured, box)
+    fixed: tuple[Any, ...] = (*known, *layers.arrays, result.learned, result.safe, result.inside, result.doubtful)
+    over_rows(lambda start, stop: _student_rows(*fixed, start, stop), count)
+    return result

@@ -222,11 +222,11 @@ class GwnProblem(CurveProblem):
         return self._exact(gwn)
 
     def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
-        """Plain Monte Carlo, the structured method and students, for polynomial pieces on a CPU."""
+        """Plain Monte Carlo, the rebuilt curve and students, for polynomial pieces on a CPU."""
         shapes = self.shapes
         if not isinstance(shapes, PackedShapes) or self.points.device.type != "cpu":
             return None
-        if type(sampler) in (Random, Stratified) and hasattr(rule, "card"):
+        if type(sampler) in (Random, Stratified) and type(rule) is not MonteCarlo:
             from nqr_geom.curves.student import whole_of
 
             return whole_of(self, shapes, type(sampler) is Stratified, rule, n)

@@ -14,7 +14,7 @@ from nqr_geom.curves.problems import GwnProblem
 from nqr_geom.curves.structured import CurveRefine, GwnHermite
 from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.rules import MonteCarlo
-from nqr_geom.integrator.samplers import Random, Stratified
+from nqr_geom.integrator.samplers import Random, Sobol, Stratified
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 
@@ -108,7 +108,7 @@ def test_too_few_samples_take_the_long_way() -> None:
     problem = GwnProblem.family(1, resolution=4)
     assert problem.compiled(CurveRefine(), GwnHermite(), 11) is None
     assert problem.compiled(CurveRefine(), GwnHermite(), 12) is not None
-    assert problem.compiled(Random(), GwnHermite(), 12) is None
+    assert problem.compiled(Sobol(), GwnHermite(), 12) is None
 
 
 def test_same_answer_in_any_part_of_the_batch() -> None:

@@ -264,5 +264,5 @@ class LearnedRule(Rule):
 @cache
 def has_bfloat16() -> bool:
     """Whether this processor multiplies bfloat16 matrices in hardware; elsewhere they are slower than float32."""
-    told = getattr(torch.cpu, "get_capabilities", dict)()
+    told: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     return any(bool(told.get(name)) for name in ("avx512_bf16", "amx_bf16"))
