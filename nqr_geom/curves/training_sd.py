@@ -62,7 +62,7 @@ def quadratic_sd(control: Tensor, points: Tensor, alpha: float = ALPHA) -> Tenso
     --------
     >>> arch = torch.tensor([[[[1.0, 0.0], [0.0, 2.0], [-1.0, 0.0]]]], dtype=torch.float64)
     >>> round(quadratic_sd(arch, torch.zeros(1, 2, dtype=torch.float64)).item(), 6)
-    0.949189
+    0.866031
     """
     roots, a = roots_of(control, points)  # (B, K, 2), (B, K)
     reach = 2.0 * torch.linalg.vector_norm(control.diff(dim=2), dim=-1).amax(dim=-1)  # the largest speed, (B, K)
