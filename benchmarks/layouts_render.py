@@ -17,7 +17,6 @@ def transmittance(rows: list[Row]) -> str:
             "99%",
             "queries",
             "noise",
-            "us a ray",
         ],
         [
             [
@@ -30,7 +29,6 @@ def transmittance(rows: list[Row]) -> str:
                 short(row["p99"]),
                 f"{row['queries_a_ray']:.1f}",
                 f"{row['noise_a_ray']:.1f}",
-                short(row["us_a_ray"]),
             ]
             for row in rows
         ],

@@ -316,7 +316,7 @@ def render(
     from nqr_geom.render.film import save_picture
     from nqr_geom.render.world import lights_seen
 
-    estimate = direct(made, spp=spp, method=method, seed=seed, full_output=True)
+    estimate: Any = direct(made, spp=spp, method=method, seed=seed, full_output=True)
     image = estimate.value.reshape(made.camera.height, made.camera.width, 3)
     if out.suffix.lower() == ".png":
         image = image + lights_seen(made)
@@ -361,7 +361,7 @@ def transmittance(
 
 @app.command
 def frontier(
-    problem: Annotated[str, Parameter(help="A random family: toy, gwn, sd or laplace.")] = "gwn",
+    problem: Annotated[str, Parameter(help="A random family: toy, gwn, sd, laplace or transmittance.")] = "gwn",
     *,
     input: Annotated[str | None, Parameter(help="Measure on your own curve instead (SVG, path data, .npy).")] = None,
     text: Text = False,
@@ -381,7 +381,8 @@ def frontier(
         made, usual = _on_grid(problem, _read(input, text), 24)
     else:
         family = registry.entry("problem", problem).load()
-        size = {"gwn": {"resolution": 24}, "sd": {"resolution": 24}}.get(problem, {})
+        grid = {"gwn": 24, "sd": 24, "transmittance": 16}
+        size = {"resolution": grid[problem]} if problem in grid else {}
         made = family.family(check.integer("shapes", shapes, low=1), **size)  # type: ignore[attr-defined]
         usual = [8, 16, 32, 64]
     measured = _measure(made, methods, budgets or usual, runs)

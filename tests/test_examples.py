@@ -60,7 +60,7 @@ def test_p_laplace_values(tmp_path: Path) -> None:
 
 def test_light_through_a_cloud(tmp_path: Path) -> None:
     gain = import_module("examples.light_through_a_cloud").main(tmp_path, resolution=64)
-    assert gain == pytest.approx(51.5, rel=0.02)
+    assert gain == pytest.approx(53.5, rel=0.05)
     assert (tmp_path / "light_through_a_cloud.png").stat().st_size > 10_000
 
 

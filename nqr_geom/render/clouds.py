@@ -28,6 +28,30 @@ def _default_box(shape: Volume, low: Floats, high: Floats) -> None:
     object.__setattr__(shape, "high", high if shape.high is None else shape.high)
 
 
+def _reach(noise: Any) -> float:
+    """How far density can reach, in radii: u_geo is a squared distance and u_fBm has a bound."""
+    return math.sqrt(1.0 + (noise.bound if isinstance(noise, Noise) else 0.0))
+
+
+def _across(height: Floats, slope: Floats, reach: float) -> tuple[Floats, Floats]:
+    """Distances (m,) at which lines enter and leave a slab |height| < reach."""
+    flat, inside = slope == 0.0, np.abs(height) < reach
+    safe = np.where(flat, 1.0, slope)
+    ends = np.sort(np.stack([(-reach - height) / safe, (reach - height) / safe]), axis=0)
+    near = np.where(flat, np.where(inside, -np.inf, np.inf), ends[0])
+    return near, np.where(flat, np.where(inside, np.inf, -np.inf), ends[1])
+
+
+def _through_balls(offset: Floats, directions: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    """Distances (m, k) at which lines enter and leave balls at `offset` (m, k, 3) of their origins."""
+    middle = np.einsum("mkd,md->mk", offset, directions)
+    # The distance between line and centre from the perpendicular itself: |offset|^2 - middle^2 would cancel.
+    aside = offset - middle[..., None] * directions[:, None]
+    square = reach**2 - (aside**2).sum(axis=-1)
+    half = np.sqrt(np.maximum(square, 0.0))
+    return np.where(square > 0.0, middle - half, np.inf), np.where(square > 0.0, middle + half, -np.inf)
+
+
 @dataclass(frozen=True, eq=False)
 class Spheres(Volume):
     """Balls that are densest in the middle, u_geo = min |x - c|^2 / r^2, with noise on top.
@@ -78,28 +102,16 @@ class Spheres(Volume):
             raise ValueError(f"radii: expected numbers > 0, got {radii.min()}")
         object.__setattr__(self, "centers", centers)
         object.__setattr__(self, "radii", radii)
-        reach = (radii * self._reach)[:, None]
+        reach = (radii * _reach(self.noise))[:, None]
         _default_box(self, (centers - reach).min(axis=0), (centers + reach).max(axis=0))
         self._check_box()
-
-    @property
-    def _reach(self) -> float:
-        """How far density can reach, in radii."""
-        return math.sqrt(1.0 + (self.noise.bound if isinstance(self.noise, Noise) else 0.0))
 
     def parts(self) -> Floats:
         rest = np.zeros((len(self.radii), PART - 4))
         return np.concatenate([self.centers - self.low, self.radii[:, None], rest], axis=1)
 
     def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        reach = self.radii * self._reach
-        offset = (self.centers - self.low) - origins[:, None]  # (m, k, 3)
-        middle = np.einsum("mkd,md->mk", offset, directions)
-        # The distance between line and centre from the perpendicular itself: |offset|^2 - middle^2 would cancel.
-        aside = offset - middle[..., None] * directions[:, None]
-        square = reach**2 - (aside**2).sum(axis=-1)
-        half = np.sqrt(np.maximum(square, 0.0))
-        return np.where(square > 0.0, middle - half, np.inf), np.where(square > 0.0, middle + half, -np.inf)
+        return _through_balls((self.centers - self.low) - origins[:, None], directions, self.radii * _reach(self.noise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +160,21 @@ class Torus(Volume):
         check.number("major", self.major, low=float(self.minor))
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "axis", axis / length)
-        tube = self.minor * math.sqrt(1.0 + (self.noise.bound if isinstance(self.noise, Noise) else 0.0))
+        tube = self.minor * _reach(self.noise)
         reach = tube + self.major * np.sqrt(np.maximum(1.0 - self.axis**2, 0.0))
         _default_box(self, center - reach, center + reach)
         self._check_box()
 
     def parts(self) -> Floats:
         return np.concatenate([self.center - self.low, self.axis, [self.major, self.minor]])[None]
+
+    def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
+        """The ball and the slab around the ring that its tube and noise can reach."""
+        tube = self.minor * _reach(self.noise)
+        offset = (self.center - self.low) - origins
+        near, far = _through_balls(offset[:, None], directions, np.array([self.major + tube]))
+        low, high = _across(-offset @ self.axis, directions @ self.axis, tube)
+        return np.maximum(near, low[:, None]), np.minimum(far, high[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,13 +236,6 @@ class Extrusion(Volume):
 
     def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """The slab around the plate that its coat and noise can reach."""
-        bound = self.noise.bound if self.noise else 0.0
-        reach = 0.5 * self.thickness + self.radius * math.sqrt(1.0 + bound)
         height = origins[:, 2] - 0.5 * (self.high[2] - self.low[2])
-        slope = directions[:, 2]
-        flat, inside = slope == 0.0, np.abs(height) < reach
-        safe = np.where(flat, 1.0, slope)
-        ends = np.sort(np.stack([(-reach - height) / safe, (reach - height) / safe]), axis=0)
-        near = np.where(flat, np.where(inside, -np.inf, np.inf), ends[0])
-        far = np.where(flat, np.where(inside, np.inf, -np.inf), ends[1])
+        near, far = _across(height, directions[:, 2], 0.5 * self.thickness + self.radius * _reach(self.noise))
         return near[:, None], far[:, None]

@@ -96,11 +96,12 @@ def _closed(problem: TransmittanceProblem) -> Estimate:
     return replace(exactly(lambda: problem.reference()[:, 0], problem.name), effects=problem.effects)
 
 
-def _kernels(problem: TransmittanceProblem, method: str, ran: bool) -> tuple[str, ...]:
+def _kernels(problem: TransmittanceProblem, estimate: Estimate, method: str) -> tuple[str, ...]:
     """Names of the kernel variants that ran."""
-    if not ran:
+    if "exact" in estimate.stages or not problem.batch:
         return ()
-    verb = {"ratio": "track-ratio", "track-length": "track-length"}.get(method, "observe")
+    plain = "march" if "compiled" in estimate.stages else "observe"
+    verb = {"ratio": "track-ratio", "track-length": "track-length"}.get(method, plain)
     return (f"{verb}[{problem.medium.name}]",)
 
 
@@ -193,7 +194,7 @@ def transmittance(
         estimate = run(problem, registry.make("sampler", sampler), registry.make("rule", rule), n, seed=seed)
     if not full_output:
         return estimate.value[:, 0]
-    plan = {**estimate.plan, "method": method, "kernels": _kernels(problem, method, not closed and problem.batch > 0)}
+    plan = {**estimate.plan, "method": method, "kernels": _kernels(problem, estimate, method)}
     return replace(estimate, plan=plan)
 
 

@@ -1,6 +1,6 @@
-"""The kernel that looks at densities along rays, with all that a sample tells.
+"""Kernels that look at densities along rays: with all that a sample tells, and only for their mean.
 
-It is built for the effects of a medium when it is first needed, and kept.
+Each is built for the effects of a medium when it is first needed, and kept.
 """
 
 from functools import cache
@@ -8,11 +8,13 @@ from functools import cache
 import torch
 
 from nqr_geom._warp import array, launch, wp
+from nqr_geom.keyed_warp import mixed, unit, unsigned
 from nqr_geom.render.kernels_density import Packed, components
 
-__all__ = ["FEATURES", "Rays", "observe", "place"]
+__all__ = ["DESIGNS", "FEATURES", "Rays", "mean", "observe", "place"]
 
 FEATURES = ("t", "u_geo", "u_fbm", "slope", "bend")
+DESIGNS = ("random", "stratified", "uniform-jitter")  # samplers whose points the mean can place itself
 
 
 @wp.struct
@@ -89,3 +91,60 @@ def observe(medium, rays, x, everything=False):
     arguments = [medium.packed, rays.packed, int(everything), array(x, wp.float64), *outputs]
     launch(_observe_kernel(medium.kind, medium.noisy), len(x), arguments, str(x.device))
     return value, features, seen
+
+
+@cache
+def _mean_kernel(kind, noisy):
+    density = components(kind, noisy)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def marched(
+        first: wp.int32,
+        m: Packed,
+        rays: Rays,
+        everything: wp.int32,
+        rows: wp.array(dtype=wp.int64),
+        key: wp.uint64,
+        n: wp.int32,
+        design: wp.int32,
+        out: wp.array2d(dtype=wp.float64),
+        seen: wp.array(dtype=wp.int32),
+    ):
+        row = first + wp.tid()
+        v = rays.volume[row]
+        count = wp.int32(0)
+        average = wp.float64(0.0)
+        square = wp.float64(0.0)
+        if everything == 1 or rays.total[row] > wp.float64(0.0):
+            state = mixed(key, rows[row])
+            shift = unit(mixed(mixed(state, wp.int64(0)), wp.int64(0)))
+            for i in range(n):
+                x = shift
+                if design < 2:
+                    x = unit(mixed(mixed(state, wp.int64(i)), wp.int64(0)))
+                if design > 0:
+                    x = wp.min((wp.float64(i) + x) / wp.float64(n), wp.float64(0.9999999999999999))
+                t = place(rays, row, x)
+                p = rays.entry[row] + t * rays.direction[row]
+                u, _geometry, _noise, _slope, _bend, evaluated = density(m, v, p, rays.direction[row])
+                value = m.density[v] * u * rays.total[row]
+                delta = value - average
+                average += delta / wp.float64(i + 1)
+                square += delta * (value - average)
+                count += evaluated
+        out[row, 0] = average
+        out[row, 1] = square
+        seen[row] = count
+
+    return marched
+
+
+def mean(medium, rays, rows, key, n, design, everything=False):
+    """Mean of n values and their squared deviations (B, 2), and noise evaluations a row (B,); see `DESIGNS`."""
+    out = torch.zeros(len(rows), 2, dtype=torch.float64, device=rows.device)
+    seen = torch.zeros(len(rows), dtype=torch.int32, device=rows.device)
+    arguments = [medium.packed, rays.packed, int(everything), array(rows, wp.int64), unsigned(key), n]
+    outputs = [array(out, wp.float64), array(seen, wp.int32)]
+    kernel = _mean_kernel(medium.kind, medium.noisy)
+    launch(kernel, len(rows), [*arguments, DESIGNS.index(design), *outputs], str(rows.device))
+    return out, seen

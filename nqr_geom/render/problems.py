@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.integrator.problem import ExpLink, Feature, Link, Observation, Problem, Samples, Schema
+from nqr_geom.integrator.problem import ExpLink, Feature, Link, Observation, Problem, Samples, Schema, Whole
+from nqr_geom.integrator.rules import MonteCarlo
+from nqr_geom.integrator.samplers import Random, Stratified, UniformJitter
 from nqr_geom.render import rays as geometry
 from nqr_geom.render.medium import Medium
 from nqr_geom.render.rays import Rays
@@ -155,9 +157,32 @@ class TransmittanceProblem(Problem):
         features["length"] = of_row(self.rays.total[:, None])
         features["optical_length"] = of_row((self.rays.total * self.medium.tensors["density"][volume])[:, None])
         features["noise"] = of_row(self.medium.constants[volume])
-        marched = self.batch if self.everything else int((self.rays.total > 0.0).sum())
-        work = {"noise": int(seen.sum())} if self.medium.noisy else {}
-        return Observation(value[:, :, None, None], features, queries=marched * x.shape[1], work=work)
+        return Observation(value[:, :, None, None], features, queries=self._marched * x.shape[1], work=self._work(seen))
+
+    @property
+    def _marched(self) -> int:
+        """Rays that are marched."""
+        return self.batch if self.everything else int((self.rays.total > 0.0).sum())
+
+    def _work(self, seen: Tensor) -> dict[str, int]:
+        """Noise evaluations, where there is noise at all."""
+        return {"noise": int(seen.sum())} if self.medium.noisy else {}
+
+    def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
+        """Plain means of random, stratified and uniformly jittered queries."""
+        if type(rule) is not MonteCarlo or type(sampler) not in (Random, Stratified, UniformJitter):
+            return None
+        design: str = sampler.name  # type: ignore[attr-defined]
+
+        def whole(stream: Stream) -> Whole:
+            from nqr_geom.render.kernels_march import mean
+
+            out, seen = mean(self.medium, self.rays, self.rows, stream.key, n, design, self.everything)
+            spread = out[:, 1:] if type(sampler) is Random and n > 1 else None
+            nowhere = torch.zeros(self.batch, dtype=torch.bool, device=self.rows.device)
+            return Whole(out[:, :1], nowhere, self._marched * n, spread, ExpLink(), self._work(seen))
+
+        return whole
 
     def finalize(self, samples: Samples) -> tuple[Samples, Link]:
         return samples, ExpLink()

@@ -110,13 +110,20 @@ def test_through_the_tube_of_a_ring():
         expected = 4.0 / 3.0 * half**3 / 0.5**2
         assert depth(ring, [1 + 3.0 + aside, 1, -9], [0, 0, 1], n=100) == pytest.approx(expected, rel=1e-2)
     assert depth(ring, [1, 1, -9], [0, 0, 1]) == 0.0
+    # Aslant, through both sides of the tube, on the whole line and on what the ring can reach of it.
+    ray = [1.0, -4.0, 0.7], [0.05, 1.0, 0.06]
+    sparse, dense = depth(ring, *ray, n=300), depth(ring, *ray, method="trapezoid", n=20_000)
+    assert dense > 0.9
+    assert sparse == pytest.approx(dense, rel=1e-3)
 
 
 def test_across_a_slab():
     """Density 1 in the plate, 1 - (s/R)^2 at a distance s: thickness + 4/3 R, far from the outline."""
     slab = render.Extrusion(np.full((3, 3), -9.0), 2.0, 0.5, [0, 0, 0], [1, 1, 10])
     for method in ("structured", "stratified"):
-        assert depth(slab, [0.5, 0.5, -9], [0, 0, 1], method=method, n=500) == pytest.approx(2.0 + 4.0 / 3.0 * 0.5, rel=1e-3)
+        assert depth(slab, [0.5, 0.5, -9], [0, 0, 1], method=method, n=500) == pytest.approx(
+            2.0 + 4.0 / 3.0 * 0.5, rel=1e-3
+        )
     thin = render.Extrusion(np.full((3, 3), -9.0), 0.0, 0.5, [0, 0, 0], [1, 1, 10])
     assert depth(thin, [0.5, 0.5, -9], [0, 0, 1], n=200) == pytest.approx(2.0 / 3.0, rel=1e-3)
 

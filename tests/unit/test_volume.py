@@ -69,7 +69,8 @@ def test_the_report_counts_what_ran(method, noise):
         assert 0 < got.counts["noise"] <= queries
         assert method in ("structured", "unbiased-raymarching") or got.counts["noise"] < 0.8 * queries
     assert got.effects == balls(noise).effects()
-    verb = {"ratio": "track-ratio", "track-length": "track-length"}.get(method, "observe")
+    verb = {"ratio": "track-ratio", "track-length": "track-length", "random": "march", "stratified": "march"}
+    verb = verb.get(method, "observe")
     assert got.plan["kernels"] == (f"{verb}[{name}]",)
     assert sum(got.stages.values()) <= got.seconds * (1.0 + 1e-9)
 
