@@ -79,7 +79,12 @@ def direct(
     if not full_output:
         camera = scene.camera
         return estimate.value.reshape(camera.height, camera.width, 3)
-    rays = {"camera rays": problem.batch} | {f"shadow rays, {name}": count for name, count in problem.rays.items()}
+    rays = {
+        "camera rays": problem.batch,
+        "shadow rays, material": problem.rays["material"],
+        "shadow rays, light": problem.rays["light"],
+        "density queries": problem.rays["density queries"],
+    }
     return replace(
         estimate,
         seconds=estimate.seconds + seen,

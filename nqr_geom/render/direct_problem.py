@@ -66,14 +66,14 @@ class DirectProblem(Problem):
     calls_for : frozenset of str
         Effects that are computed; by default those of the scenes.
     rays : dict
-        Shadow rays traced so far, by technique; shared with parts of this problem.
+        Shadow rays traced so far, by technique, and density queries along them; shared with parts of this problem.
     """
 
     world: Assembled
     surfaces: NDArray[Any]
     rows: Tensor
     calls_for: frozenset[str]
-    rays: dict[str, int] = field(default_factory=lambda: {"material": 0, "light": 0})
+    rays: dict[str, int] = field(default_factory=lambda: {"material": 0, "light": 0, "density queries": 0})
 
     name = "direct"
     dim = 6
@@ -156,16 +156,20 @@ class DirectProblem(Problem):
         return self.calls_for
 
     @property
-    def variant(self) -> tuple[bool, bool, bool]:
-        """Which kernels run: with shadows, with gloss, with a choice of lights."""
+    def variant(self) -> tuple[bool, bool, bool, tuple[str, bool] | None]:
+        """Which kernels run: with shadows, with gloss, with a choice of lights, with what kind of medium."""
         gloss = bool(self.calls_for & {"glossy", "specular"})
-        return "shadows" in self.calls_for, gloss, "light selection" in self.calls_for
+        medium = self.world.medium
+        fog = None if medium is None else (medium.kind, medium.noisy)
+        return "shadows" in self.calls_for, gloss, "light selection" in self.calls_for, fog
 
     @property
     def kernels(self) -> str:
         """The variant in words, as reports give it."""
+        *flags, medium = self.variant
         names = ("shadows", "gloss", "light selection")
-        return " + ".join(["direct", *(name for name, on in zip(names, self.variant, strict=True) if on)])
+        fog = [] if medium is None else [f"{medium[0]} medium", *(["noise"] if medium[1] else [])]
+        return " + ".join(["direct", *(name for name, on in zip(names, flags, strict=True) if on), *fog])
 
     def _count(self, traced: NDArray[np.int32]) -> None:
         for name, total in zip(self.rays, traced.sum(axis=0, dtype=np.int64).tolist(), strict=True):
@@ -175,7 +179,7 @@ class DirectProblem(Problem):
         """One pass for every point x (B, N, 6)."""
         batch, n = x.shape[:2]
         value, density = np.zeros((batch, n, 2, 3)), np.zeros((batch, n, 2, 2))
-        extra, traced = np.zeros((batch, n, 2, kernels_direct.EXTRA)), np.zeros((batch, 2), np.int32)
+        extra, traced = np.zeros((batch, n, 2, kernels_direct.EXTRA)), np.zeros((batch, 3), np.int32)
         arguments = [
             self.world.struct,
             rows_of(kernels_bsdf.Surface, self.surfaces),
@@ -211,7 +215,7 @@ class DirectProblem(Problem):
     def _fused(self, kind: str, pmj: bool, n: int, stream: Stream) -> Whole:
         """Draw the points and combine what they bring in the kernel `kind`."""
         mean, spread = np.zeros((self.batch, 3)), np.zeros((self.batch, 3))
-        traced = np.zeros((self.batch, 2), np.int32)
+        traced = np.zeros((self.batch, 3), np.int32)
         if kind == "structured":
             most = max(len(scene.lights) for scene in self.world.scenes)
             middle = [sure_chance("pmj" if pmj else "random", n), array(np.zeros((self.batch, most, 4)), wp.vec4d)]

@@ -65,6 +65,6 @@ def found(scene: Scene) -> frozenset[str]:
             names.add("specular" if material.roughness < _SPECULAR else "glossy")
         if isinstance(getattr(material, "albedo", None), (Checker, Image)):
             names.add("texture")
-    if scene.medium is not None:
+    if scene.medium is not None and scene.medium.effects():
         names |= {"medium"} | {f"medium: {name}" for name in scene.medium.effects()}
     return frozenset(names)

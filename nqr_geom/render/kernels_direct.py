@@ -12,6 +12,7 @@ from typing import Any
 from nqr_geom._warp import wp
 from nqr_geom.render import kernels_bsdf, kernels_light
 from nqr_geom.render.kernels_bsdf import Surface, frame_of, to_local, to_world
+from nqr_geom.render.kernels_density import Packed
 from nqr_geom.render.kernels_light import Chosen, Light, Node, irradiance, sphere_cone, sphere_direction, sphere_hit
 from nqr_geom.render.kernels_numbers import Numbers, coordinate, shuffle
 
@@ -41,12 +42,14 @@ class Place:
     """One scene's part of a world; `mesh` 0 is none."""
 
     mesh: wp.uint64
+    corner: wp.vec3d  # from positions to the medium's box: scale * p + corner
+    scale: wp.float64
     balls: wp.int32
     balls_end: wp.int32
     lights: wp.int32
     lights_end: wp.int32
     root: wp.int32
-    padding: wp.int32
+    volume: wp.int32  # -1 is none
 
 
 @wp.struct
@@ -58,6 +61,7 @@ class World:
     lights: wp.array(dtype=Light)
     nodes: wp.array(dtype=Node)
     coat: wp.array2d(dtype=wp.float64)
+    medium: Packed
 
 
 @wp.struct
@@ -77,6 +81,7 @@ class Sample:
     chance: wp.float64
     light: wp.int32
     rays: wp.int32
+    marched: wp.int32  # density queries
 
 
 @wp.struct
@@ -150,6 +155,11 @@ def never_occluded(world: World, place: Place, p: wp.vec3d, w: wp.vec3d, distanc
 
 
 @wp.func
+def clear_air(world: World, place: Place, p: wp.vec3d, w: wp.vec3d, distance: wp.float64) -> wp.vec2d:
+    return wp.vec2d(_ONE, _ZERO)
+
+
+@wp.func
 def only_light(world: World, place: Place, p: wp.vec3d, n: wp.vec3d, u: wp.float64) -> Chosen:
     chosen = Chosen()
     chosen.light = wp.where(place.lights < place.lights_end, place.lights, -1)
@@ -173,7 +183,7 @@ def chance_of_light(world: World, place: Place, light: wp.int32, p: wp.vec3d, n:
 
 
 @lru_cache(maxsize=64)
-def _one_pass(shadows: bool, gloss: bool, selection: bool) -> Any:
+def _one_pass(shadows: bool, gloss: bool, selection: bool, medium: tuple[str, bool] | None) -> Any:
     """The pass of a scene with these effects; functions of absent ones are not even compiled."""
     reflect = kernels_bsdf.reflect_any if gloss else kernels_bsdf.reflect_diffuse
     sample = kernels_bsdf.sample_any if gloss else kernels_bsdf.sample_diffuse
@@ -182,6 +192,11 @@ def _one_pass(shadows: bool, gloss: bool, selection: bool) -> Any:
     hidden = hidden_by_light if selection else never_hidden
     blocked = occluded if shadows else never_occluded
     ray = 1 if shadows else 0
+    through = clear_air
+    if medium is not None:
+        from nqr_geom.render.kernels_fog import fog
+
+        through = fog(*medium)
 
     @wp.func
     def by_material(
@@ -207,7 +222,9 @@ def _one_pass(shadows: bool, gloss: bool, selection: bool) -> Any:
                 made.share = part_of(lobes.diffuse, lobes.whole)
                 made.rays = wp.static(ray)
                 if not blocked(world, place, start, w, met.chance):
-                    made.value = wp.cw_mul(lobes.whole, light.radiance) * made.lambert
+                    kept = through(world, place, s.position, w, met.chance)
+                    made.marched = wp.int32(kept[1])
+                    made.value = wp.cw_mul(lobes.whole, light.radiance) * (made.lambert * kept[0])
         return made
 
     @wp.func
@@ -242,7 +259,9 @@ def _one_pass(shadows: bool, gloss: bool, selection: bool) -> Any:
         elif lobes.pdf > _ZERO and wp.dot(w, s.geometric) > _ZERO:
             made.rays = wp.static(ray)
             if not blocked(world, place, start, w, distance):
-                made.value = wp.cw_mul(lobes.whole, light.radiance) * made.lambert
+                kept = through(world, place, s.position, w, distance)
+                made.marched = wp.int32(kept[1])
+                made.value = wp.cw_mul(lobes.whole, light.radiance) * (made.lambert * kept[0])
         return made
 
     @wp.func
@@ -332,6 +351,7 @@ def _observe(one_pass: Any) -> Any:
                 write_extra(extra[row][i][1], made.nee, world, s, made.nee.own, made.nee.other)
                 rays[row, 0] = rays[row, 0] + made.bsdf.rays
                 rays[row, 1] = rays[row, 1] + made.nee.rays
+                rays[row, 2] = rays[row, 2] + made.bsdf.marched + made.nee.marched
 
     return observe
 
@@ -363,6 +383,7 @@ def _balance(one_pass: Any) -> Any:
             spread = wp.vec3d()
             traced_bsdf = wp.int32(0)
             traced_nee = wp.int32(0)
+            marched = wp.int32(0)
             for i in range(n):
                 made = one_pass(
                     world, place, s, out, start,
@@ -376,10 +397,12 @@ def _balance(one_pass: Any) -> Any:
                 spread += wp.cw_mul(step, term - average)
                 traced_bsdf += made.bsdf.rays
                 traced_nee += made.nee.rays
+                marched += made.bsdf.marched + made.nee.marched
             mean[at] = wp.cw_mul(average, s.through)
             m2[at] = wp.cw_mul(spread, wp.cw_mul(s.through, s.through))
             rays[at, 0] = traced_bsdf
             rays[at, 1] = traced_nee
+            rays[at, 2] = marched
 
     return fused
 
@@ -433,6 +456,7 @@ def _structured(one_pass: Any) -> Any:
                 total += gather(sums[at], made.nee, balance(made.nee), made.nee.light - place.lights, sure)
                 rays[at, 0] = rays[at, 0] + made.bsdf.rays
                 rays[at, 1] = rays[at, 1] + made.nee.rays
+                rays[at, 2] = rays[at, 2] + made.bsdf.marched + made.nee.marched
             total = total / wp.float64(n)
             for j in range(place.lights_end - place.lights):
                 sum = sums[at, j]
@@ -449,6 +473,6 @@ _MAKERS = {"observe": _observe, "balance": _balance, "structured": _structured}
 
 
 @lru_cache(maxsize=64)
-def kernel(name: str, shadows: bool, gloss: bool, selection: bool) -> Any:
+def kernel(name: str, shadows: bool, gloss: bool, selection: bool, medium: tuple[str, bool] | None = None) -> Any:
     """The kernel called "observe", "balance" or "structured" for a scene with these effects, made once."""
-    return _MAKERS[name](_one_pass(shadows, gloss, selection))
+    return _MAKERS[name](_one_pass(shadows, gloss, selection, medium))

@@ -15,6 +15,7 @@ from nqr_geom.render.camera import Camera
 from nqr_geom.render.lights import SphereLight
 from nqr_geom.render.materials import Material
 from nqr_geom.render.shapes import Mesh, Shape, Sphere
+from nqr_geom.render.volume import Volume
 
 __all__ = ["Frame", "Scene"]
 
@@ -93,6 +94,8 @@ class Scene:
             raise TypeError(f"camera: expected a Camera, got {type(self.camera).__name__}")
         object.__setattr__(self, "shapes", self._all("shapes", self.shapes, (Mesh, Sphere)))
         object.__setattr__(self, "lights", self._all("lights", self.lights, (SphereLight,)))
+        if self.medium is not None and not isinstance(self.medium, Volume):
+            raise TypeError(f"medium: expected a volume or None, got {type(self.medium).__name__}")
 
     @staticmethod
     def _all(name: str, given: Any, kinds: tuple[type[Any], ...]) -> tuple[Any, ...]:

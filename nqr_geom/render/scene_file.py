@@ -35,7 +35,7 @@ def _material(given: Any) -> Material:
         raise ValueError(f"material: expected an object with type {', '.join(_MATERIALS)}, got {given!r}")
     if isinstance(entries.get("albedo"), dict):
         entries["albedo"] = _made("albedo", Checker, entries["albedo"])
-    return _made(f"material {kind}", _MATERIALS[kind], entries)  # type: ignore[no-any-return]
+    return _made(f"material {kind}", _MATERIALS[kind], entries)
 
 
 def _shape(given: Any, folder: Path) -> Shape:
@@ -46,11 +46,11 @@ def _shape(given: Any, folder: Path) -> Shape:
         moves = {name: entries.pop(name) for name in ("shift", "scale", "turn") if name in entries}
         path = folder / str(entries.pop("file"))
         mesh: Mesh = _made("mesh", lambda **rest: Mesh.from_file(path, **rest), entries)
-        return _made("mesh", mesh.moved, moves)  # type: ignore[no-any-return]
+        return _made("mesh", mesh.moved, moves)
     makers: dict[str, Any] = {"mesh": Mesh, "quad": Quad, "sphere": Sphere}
     if kind not in makers:
         raise ValueError(f"shape: expected an object with type {', '.join(makers)}, got {given!r}")
-    return _made(kind, makers[kind], entries)  # type: ignore[no-any-return]
+    return _made(kind, makers[kind], entries)
 
 
 def read_scene(path: str | Path) -> Scene:

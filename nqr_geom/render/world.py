@@ -42,8 +42,10 @@ class Assembled:
         Warp's meshes, kept alive.
     coats : dict
         Row of the table of coats for (roughness, index of refraction).
-    balls, lights : tuple of int
-        Number of each scene's first ball and light.
+    balls : tuple of int
+        Number of each scene's first ball.
+    medium : Medium or None
+        All media of the scenes.
     """
 
     scenes: tuple[Scene, ...]
@@ -51,6 +53,7 @@ class Assembled:
     meshes: tuple[Any, ...]
     coats: dict[tuple[float, float], int]
     balls: tuple[int, ...]
+    medium: Any
 
 
 def rows_of(dtype: Any, rows: Rows) -> Any:
@@ -74,6 +77,7 @@ def assemble(scenes: Sequence[Scene]) -> Assembled:
     balls: list[Rows] = []
     lights: list[Rows] = []
     nodes: list[Rows] = []
+    volumes: list[Any] = []
     n_balls = n_lights = n_nodes = 0
     for k, scene in enumerate(scenes):
         meshes.append(_mesh(scene))
@@ -97,6 +101,11 @@ def assemble(scenes: Sequence[Scene]) -> Assembled:
         places[k]["balls"], places[k]["balls_end"] = n_balls, n_balls + len(ball)
         places[k]["lights"], places[k]["lights_end"] = n_lights, n_lights + len(light)
         places[k]["root"] = n_nodes
+        places[k]["volume"] = -1
+        if "medium" in scene.effects():
+            places[k]["volume"], places[k]["scale"] = len(volumes), scene.frame.scale
+            places[k]["corner"] = scene.frame.centre - scene.medium.low
+            volumes.append(scene.medium)
         for parts, part in ((balls, ball), (lights, light), (nodes, node)):
             parts.append(part)
         n_balls, n_lights, n_nodes = n_balls + len(ball), n_lights + len(light), n_nodes + len(node)
@@ -108,8 +117,15 @@ def assemble(scenes: Sequence[Scene]) -> Assembled:
     world.lights = rows_of(kernels_light.Light, np.concatenate(lights))
     world.nodes = rows_of(kernels_light.Node, np.concatenate(nodes))
     world.coat = array(np.array(list(coats.values())) if coats else np.zeros((1, COAT_NODES)), wp.float64)
+    medium = None
+    if volumes:
+        from nqr_geom.render.medium import Medium
+
+        medium = Medium.of(volumes)
+        world.medium = medium.packed
     first = np.cumsum([0, *(len(ball) for ball in balls)]).tolist()
-    return Assembled(tuple(scenes), world, tuple(meshes), {key: k for k, key in enumerate(coats)}, tuple(first[:-1]))
+    rows_of_coats = {key: k for k, key in enumerate(coats)}
+    return Assembled(tuple(scenes), world, tuple(meshes), rows_of_coats, tuple(first[:-1]), medium)
 
 
 def _material_rows(materials: Sequence[Material], coats: dict[tuple[float, float], int]) -> Rows:
@@ -229,4 +245,9 @@ def see(world: Assembled, k: int, jitter: Stream | None = None) -> Rows:
     rows["through"] = 1.0
     level = (rows["normal"] * rows["outgoing"]).sum(axis=1)
     rows["kind"][~(level > 0.0)] = -1  # seen from the edge: no side
+    if "medium" in scene.effects():
+        from nqr_geom.render.kernels_fog import camera_fog
+
+        weaken = camera_fog(world.medium.kind, world.medium.noisy)
+        launch(weaken, len(rows), [world.struct, rows_of(kernels_bsdf.Surface, rows), wp.vec3d(*origin)])
     return rows
