@@ -101,6 +101,9 @@ def test_rays_meet_only_the_stretches_where_there_can_be_density():
     balls = render.Spheres([[0, 0, 0], [1.5, 0, 0], [9, 0, 0], [0, 50, 0]], [1.0, 1.0, 2.0, 1.0])
     rays = ng.problems.transmittance(balls, [[-5, 0, 0], [0.5, 0, 0]], [X, X], [np.inf, 8.0], support="pieces").rays
     np.testing.assert_allclose(rays.total, [3.5 + 4.0, 2.0 + 1.5], rtol=1e-14)
+    inside = render.Spheres([[0, 0, 0], [-2, 0, 0], [3, 0, 0]], [5.0, 1.0, 1.0])
+    rays = ng.problems.transmittance(inside, [[-9, 0, 0]], [X], np.inf, support="pieces").rays
+    np.testing.assert_allclose(rays.total, [10.0], rtol=1e-14)
 
 
 def test_through_the_tube_of_a_ring():
