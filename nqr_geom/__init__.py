@@ -21,6 +21,7 @@ _PUBLIC = {
     "gwn": "nqr_geom.api",
     "gwn_gradient": "nqr_geom.api",
     "integrate": "nqr_geom.api",
+    "laplace_gradient": "nqr_geom.gradients",
     "models": "nqr_geom.api",
     "problems": "nqr_geom.problems",
     "rules": "nqr_geom.api",
@@ -43,6 +44,7 @@ __all__ = [
     "gwn",
     "gwn_gradient",
     "integrate",
+    "laplace_gradient",
     "models",
     "problems",
     "rules",
@@ -75,6 +77,7 @@ if TYPE_CHECKING:
         solve_p_laplace,
     )
     from nqr_geom.curves.curve import Curve
+    from nqr_geom.gradients import laplace_gradient
 
 
 def __getattr__(name: str) -> Any:

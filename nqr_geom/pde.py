@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nqr_geom import check
+from nqr_geom import check, registry
 from nqr_geom.streams import Stream
 
 if TYPE_CHECKING:
@@ -23,7 +23,8 @@ __all__ = ["METHODS", "solve_laplace"]
 Floats = NDArray[np.float64]
 Source = Callable[[Floats], ArrayLike] | float | None
 
-METHODS = ("auto", "wos", "wos-lhs", "boundary", "fem")
+METHODS = ("auto", "wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem")
+_BY_RULE = ("wos-lhs", "wos-rqmc", "structured")  # a sampler and a rule over `n` walks of few steps
 
 _STEPS = 10_000  # of a walk that is not told otherwise: it ends after some ten or twenty
 _PILOT = 64  # walks a query before the first look at the spread
@@ -60,15 +61,17 @@ def solve_laplace(
         A vertex given twice may carry a jump.
     points : (m, 2) array_like
         Queries, finite.
-    method : {"auto", "wos", "wos-lhs", "boundary", "fem"}
+    method : {"auto", "wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"}
         "boundary": deterministic, to many digits, Laplace only. "wos": independent walks to the epsilon shell.
         "wos-lhs": `n` walks of at most `max_steps` (12) steps with Latin hypercube directions, as in the paper.
+        "wos-rqmc": such walks, sorted before every step and spread again. "structured": Latin hypercube walks whose
+        closest points rebuild the boundary; the answer is the mean under its harmonic measure.
         "fem": finite elements. "auto": what should meet `tol` at the least cost.
     tol : float
         Absolute error to aim for: walks are added until three standard errors are within it, unless `n` says how many.
         "boundary" goes further, to 1e-8 of the spread of the boundary values where it can.
     n : int, optional
-        Walks a query. The default for "wos-lhs" is 32.
+        Walks a query. 32 by default with a cap on steps: "wos-lhs", "wos-rqmc", "structured".
     max_steps : int, optional
         Jumps of a walk before it takes the boundary value closest to it; such walks are counted. 10,000 by default.
     epsilon : float
@@ -119,18 +122,13 @@ def solve_laplace(
         source = check.number("source", source) or None
     domain = Domain.of(polygon)
     values = domain.boundary(boundary)
-    framed = domain.to_frame(points)
-    inside = domain.contains(framed)
-    if outside == "raise" and not inside.all():
-        row = int(np.flatnonzero(~inside)[0])
-        where = domain.from_frame(framed[row : row + 1])[0].tolist()
-        raise ValueError(f'points: expected points inside the polygon (or outside="nan"), got {where} at row {row}')
+    framed, inside = inside_of(domain, points, outside)
     physics = Physics(screening * domain.unit**2, _framed(domain, source))
     plan: dict[str, Any] = {"method": method}
     if method == "auto":
         method, why = _cheapest(values, int(inside.sum()), tol, physics)
         plan = {"method": method, "why": why}
-    if method in ("boundary", "wos-lhs") and (physics.screening > 0.0 or physics.source is not None):
+    if method in ("boundary", *_BY_RULE) and (physics.screening > 0.0 or physics.source is not None):
         what = "screening" if physics.screening > 0.0 else "source"
         raise ValueError(f"{what}: expected none with method {method!r}, which solves Laplace's equation, got one")
     if method == "boundary":
@@ -138,14 +136,26 @@ def solve_laplace(
     elif method == "fem":
         whole = _polygon(domain, polygon)
         estimate = _by_fem(whole, boundary, domain.from_frame(framed[inside]), tol, source, screening)
-    elif method == "wos-lhs":
-        estimate = _by_hypercube(values, framed, inside, n or 32, max_steps or 12, epsilon, seed)
+    elif method in _BY_RULE:
+        settings: dict[str, Any] = {"n": n or 32, "max_steps": max_steps or 12, "epsilon": epsilon, "seed": seed}
+        estimate = by_rule(values, framed, inside, *registry.method(method, "laplace"), **settings)
     else:
         settings = {"epsilon": epsilon, "max_steps": max_steps or _STEPS, "physics": physics}
         estimate = _by_walks(values, framed[inside], np.flatnonzero(inside), n, tol, seed, settings)
     estimate = replace(estimate, plan={**estimate.plan, **plan, "tol": tol})
-    estimate = _scattered(estimate, inside)
+    estimate = scattered(estimate, inside)
     return estimate if full_output else estimate.value[:, 0]
+
+
+def inside_of(domain: Domain, points: ArrayLike, outside: str) -> tuple[Floats, NDArray[np.bool_]]:
+    """Points in the domain's frame, and which lie inside; the first one outside is refused unless they may be there."""
+    framed = domain.to_frame(points)
+    inside = domain.contains(framed)
+    if outside == "raise" and not inside.all():
+        row = int(np.flatnonzero(~inside)[0])
+        where = domain.from_frame(framed[row : row + 1])[0].tolist()
+        raise ValueError(f'points: expected points inside the polygon (or outside="nan"), got {where} at row {row}')
+    return framed, inside
 
 
 def _framed(domain: Domain, source: Source) -> Callable[[Floats], Floats] | None:
@@ -247,21 +257,29 @@ def _by_fem(polygon: Any, boundary: Any, points: Floats, tol: float, source: Sou
     return _sure(value, time.perf_counter() - start, rule="fem", triangles=len(solution.space.mesh.triangles))
 
 
-def _by_hypercube(
-    values: Boundary, framed: Floats, inside: NDArray[np.bool_], n: int, max_steps: int, epsilon: float, seed: int
+def by_rule(
+    values: Boundary,
+    framed: Floats,
+    inside: NDArray[np.bool_],
+    sampler: str,
+    rule: str,
+    *,
+    n: int,
+    max_steps: int,
+    epsilon: float,
+    seed: int,
 ) -> Estimate:
-    """The integrator on the walk problem, less a constant so that constants are exact."""
-    check.require("torch", "learn", "methods such as 'wos-lhs'")
+    """The integrator on the walk problem at the points inside, less a constant so that constants are exact."""
+    check.require("torch", "learn", f"methods such as '{sampler}+{rule}'")
     import torch
 
-    from nqr_geom import registry
     from nqr_geom.integrator.estimate import run
     from nqr_geom.wos.problems import LaplaceProblem
 
     level = float(values.at(np.zeros(1, dtype=np.int64), np.zeros(1))[0])
     problem = LaplaceProblem.joined([values.less(level)], [framed[inside]], max_steps, epsilon)
     problem = replace(problem, rows=torch.from_numpy(np.flatnonzero(inside)))
-    estimate = run(problem, registry.make("sampler", "latin-hypercube"), registry.make("rule", "mc"), n, seed=seed)
+    estimate = run(problem, registry.make("sampler", sampler), registry.make("rule", rule), n, seed=seed)
     statistics = replace(estimate.statistics, mean=estimate.statistics.mean + level)
     return replace(estimate, value=estimate.value + level, inner=estimate.inner + level, statistics=statistics)
 
@@ -336,7 +354,7 @@ def _batch(
     return Statistics(mean, m2, len(walks), "samples")
 
 
-def _scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
+def scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
     """The estimate on all points, NaN at those outside."""
     if inside.all():
         return estimate

@@ -297,6 +297,7 @@ ALIASES: dict[str, str] = {
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",
+    "laplace:wos-lhs": "latin-hypercube+mc",
     "laplace:structured": "latin-hypercube+walk-fit",
     "laplace:wos-rqmc": "array-rqmc+mc",
     "toy:inet": "stratified+inet-toy-structured",

@@ -17,6 +17,7 @@ __all__ = ["parts_of", "room"]
 
 _STRAIGHT = 1e-7  # relative excess of the arc over the chord that rounding may cause
 _CORNER = 1e-6  # the same for the way along two tangents
+_FLAT = 1.02  # arcs that are hardly longer than their chord are their chord
 _PIECES = 64  # chords for an arc as long as the whole boundary, beside three for any arc
 _TURN = 0.45  # radians of an arc that one chord stands for
 _FULL = 3.1  # half angle of the largest arc; beyond, chord and arc no longer tell it apart from a circle
@@ -144,8 +145,6 @@ def _across(parts, count, seen, gap, chord, straight, low, n, i, j, whole, mean,
     """Parts from sample i to the next one, j, of the loop low .. low + n, where the boundary is not straight."""
     x0, y0, g0 = seen[i, 1], seen[i, 2], seen[i, 3]
     x1, y1, g1 = seen[j, 1], seen[j, 2], seen[j, 3]
-    if gap[i] <= 1.02 * chord[i] and n > 1:
-        return _put(parts, count, x0, y0, g0, x1, y1, g1, 0.0)
     before, after = low + (i - low - 1) % n, low + (j - low + 1) % n
     ax, ay = _tangent(seen, chord, straight, before, i, i)
     bx, by = _tangent(seen, chord, straight, j, after, j)
@@ -166,6 +165,8 @@ def _across(parts, count, seen, gap, chord, straight, low, n, i, j, whole, mean,
             g = 0.5 * (left + right)
             count = _put(parts, count, x0, y0, g0, x, y, g, 0.0)
             return _put(parts, count, x, y, g, x1, y1, g1, 0.0)
+    if gap[i] <= _FLAT * chord[i] and n > 1:
+        return _put(parts, count, x0, y0, g0, x1, y1, g1, 0.0)
     return _bulge(parts, count, seen, i, j, gap[i], whole, mean, fade)
 
 

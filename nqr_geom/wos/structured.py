@@ -35,6 +35,7 @@ Floats = NDArray[np.float64]
 
 MOST_PANELS = 256
 _SAME = 1e-9  # arc lengths nearer than this, relative to all, are one sample
+_NEAREST = 1e-5  # no panel is shorter than this part of the farthest distance
 _REACH = 3.0  # the farthest part lies at 1/2 in the frame of the system times this, so that it is positive definite
 
 _kernel = njit(cache=True, nogil=True, error_model="numpy")
@@ -125,12 +126,13 @@ def _fit_rows(  # type: ignore[no-untyped-def]
         if count < 2:
             continue
         made = parts_of(ordered[:count], loops[b], fade, gap, chord, straight, parts)
-        reach = 0.0
+        reach, near = 0.0, np.inf
         for i in range(made):
             reach = max(reach, abs(parts[i, 0]), abs(parts[i, 1]))
+            near = min(near, parts[i, 0] ** 2 + parts[i, 1] ** 2)
         pace, m = step, -1
         while m < 0:  # longer panels until there is room
-            m = panels_of(parts, made, 0.0, 0.0, least * reach, pace, panels)
+            m = panels_of(parts, made, 0.0, 0.0, max(least * np.sqrt(near), _NEAREST * reach), pace, panels)
             pace *= 1.5
         if m < 2:
             continue
@@ -164,7 +166,8 @@ def fitted(steps: Floats, end: Floats, value: Floats, loops: Floats, *, step: fl
     result = Fit(np.empty(batch), np.empty(batch), np.empty(batch), np.empty(batch, dtype=np.int64))
     arrays = (np.ascontiguousarray(array) for array in (steps, end, value, loops))
     inputs: tuple[Any, ...] = (*arrays, step, fade, least)
-    over_rows(lambda i, j: _fit_rows(*inputs, i, j, *result), batch)
+    rows: Any = _fit_rows
+    over_rows(lambda i, j: rows(*inputs, i, j, *result), batch)
     return result
 
 
@@ -179,7 +182,7 @@ class WalkFit(Rule):
     fade : float
         Length over which values in hidden parts fall back to the mean of what was seen, as a part of the boundary.
     least : float
-        Distances from the query below this part of the farthest count as this.
+        Distances from the query below this part of the nearest sample's count as this.
     doubt : float
         Where more measure than this had to be cut off below zero, the walks' mean is given instead, and flagged.
 
@@ -201,7 +204,7 @@ class WalkFit(Rule):
 
     step: float = 0.35
     fade: float = 0.07
-    least: float = 0.01
+    least: float = 0.5
     doubt: float = 0.2
 
     name = "walk-fit"

@@ -86,7 +86,7 @@ def test_an_absolute_shell_would_be_wrong_in_the_channel():
     assert abs(wide[0] - 0.25) > 0.015
 
 
-@pytest.mark.parametrize("method", ["auto", "wos", "wos-lhs", "boundary", "fem"])
+@pytest.mark.parametrize("method", ["auto", "wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"])
 @pytest.mark.parametrize("value", [0.1, -7.0, 1e60])
 def test_a_constant_is_that_constant_exactly(method, value):
     polygon = shapely.Polygon(2 * RING[::8], [RING[::8]])
@@ -95,7 +95,7 @@ def test_a_constant_is_that_constant_exactly(method, value):
         assert (ng.solve_laplace(polygon, boundary, points, method=method, n=50) == value).all()
 
 
-@pytest.mark.parametrize("method", ["wos", "wos-lhs", "boundary", "fem"])
+@pytest.mark.parametrize("method", ["wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"])
 def test_points_outside_are_refused_or_nan(method):
     points = [[0.5, 0.5], [2.0, 0.5], [1e200, 0.0]]
     with pytest.raises(ValueError, match=r"points: expected points inside.*row 1"):
@@ -106,7 +106,7 @@ def test_points_outside_are_refused_or_nan(method):
 
 def test_maximum_principle():
     points = np.random.default_rng(0).random((200, 2))
-    for method in ("wos", "wos-lhs", "boundary"):
+    for method in ("wos", "wos-lhs", "wos-rqmc", "structured", "boundary"):
         got = ng.solve_laplace(SQUARE, [0.0, 1.0, -1.0, 0.5], points, method=method, n=16)
         assert -1.0 - 1e-9 <= got.min() <= got.max() <= 1.0 + 1e-9
 
@@ -114,7 +114,7 @@ def test_maximum_principle():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"method": "magic"}, "method: expected one of auto, wos, wos-lhs, boundary, fem"),
+        ({"method": "magic"}, "method: expected one of auto, wos, wos-lhs, wos-rqmc, structured, boundary, fem"),
         ({"points": [[np.nan, 0.5]]}, "points: expected finite"),
         ({"points": [0.5, 0.5]}, "points: expected shape"),
         ({"tol": 0.0}, "tol: "),
@@ -146,5 +146,5 @@ def test_auto_says_what_it_chose():
 
 
 def test_no_points():
-    for method in ("wos", "wos-lhs", "boundary", "fem"):
+    for method in ("wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"):
         assert ng.solve_laplace(SQUARE, np.arange(4.0), np.zeros((0, 2)), method=method).shape == (0,)
