@@ -31,6 +31,7 @@ def transmittance(rows: list[Row]) -> str:
                 f"{row['noise_a_ray']:.1f}",
             ]
             for row in rows
+            if "ratio" in row
         ],
     )
 
@@ -47,6 +48,7 @@ def transmittance_bias(rows: list[Row]) -> str:
                 f"{max(row['bias2'], row['noise']) / row['mse']:.1%}",
             ]
             for row in rows
+            if "bias2" in row
         ],
     )
 

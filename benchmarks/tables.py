@@ -166,7 +166,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("fem_orders", "p-Laplacian by finite elements", orders),
     ("toy_calibration", "How close the toy family is to the paper's", calibration),
     ("transmittance", "Table 12: transmittance of clouds, a donut and letters", layouts_render.transmittance),
-    ("transmittance_bias", "Fig. 29: what is left of the error in the mean", layouts_render.transmittance_bias),
+    ("transmittance", "Fig. 29: what is left of the error in the mean", layouts_render.transmittance_bias),
     ("transmittance_effects", "Only what a volume calls for: 25,600 rays, 24 queries", layouts_render.effects),
 ]
 

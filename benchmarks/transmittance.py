@@ -59,7 +59,7 @@ def problem_of(volumes: list[Volume], resolution: int, support: str) -> Transmit
 
 def estimate(problem: TransmittanceProblem, method: str, seed: int) -> Any:
     if method in estimators.TRACKERS:
-        return estimators._tracked(problem, method, N, seed)
+        return estimators.tracked(problem, method, N, seed)
     return ng.integrate(problem, N, method=method, seed=seed)
 
 
@@ -166,7 +166,6 @@ def main() -> None:
                 f"{r['queries_a_ray']:.1f}", f"{r['noise_a_ray']:.1f}", f"{r['us_a_ray']:.1f}",
             )  # fmt: skip
     Console(width=120).print(table)
-    print(write("transmittance", rows, clouds=clouds, resolution=resolution, runs=runs, queries=N))
     biases = []
     for name, volumes in sets.items():
         found, images = bias(name, volumes()[0], resolution if name == "clouds" else 16, many)
@@ -175,7 +174,8 @@ def main() -> None:
             picture(images, resolution)
     for r in biases:
         print(f"{r['set']:8} {r['method']:18} bias^2 {r['bias2']:.2e}  (noise of the mean {r['noise']:.1e})")
-    print(write("transmittance_bias", biases, runs=many, queries=N))
+    settings = {"clouds": clouds, "resolution": resolution, "runs": runs, "bias_runs": many, "queries": N}
+    print(write("transmittance", rows + biases, **settings))
 
 
 if __name__ == "__main__":

@@ -111,7 +111,8 @@ def launch(kernel: Any, count: int, arguments: list[Any], device: str = "cpu") -
     # Compiles, if need be, before the threads start. One thread a block is how a CPU launch runs.
     kernel.module.load(device, 1 if device == "cpu" else None)
     if device != "cpu":
-        wp.launch(kernel, dim=count, inputs=[0, *arguments], device=device)
+        with wp.ScopedStream(wp.stream_from_torch(device)):  # after what torch still has to do to the arrays
+            wp.launch(kernel, dim=count, inputs=[0, *arguments], device=device)
         return
 
     def rows(start: int, stop: int) -> None:

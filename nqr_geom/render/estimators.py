@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nqr_geom.integrator.estimate import Estimate
     from nqr_geom.render.problems import TransmittanceProblem
 
-__all__ = ["TRACKERS", "optical_depth", "reference", "transmittance"]
+__all__ = ["TRACKERS", "optical_depth", "reference", "tracked", "transmittance"]
 
 Floats = NDArray[np.float64]
 
@@ -54,8 +54,25 @@ def _estimate(
     )
 
 
-def _tracked(problem: TransmittanceProblem, method: str, n: int, seed: int) -> Estimate:
-    """Ratio tracking or track length until more than n queries are spent, or unbiased ray marching."""
+def tracked(problem: TransmittanceProblem, method: str, n: int, seed: int) -> Estimate:
+    """Estimates of one of the `TRACKERS`, which are no rules: how many samples they take depends on the samples.
+
+    Parameters
+    ----------
+    problem : TransmittanceProblem
+        B rays.
+    method : {"ratio", "track-length", "unbiased-raymarching"}
+        See `transmittance`.
+    n : int
+        Queries a ray: tracking repeats until it has spent more, at most n times; marching spends them on average.
+    seed : int
+        Of the random numbers.
+
+    Raises
+    ------
+    ValueError
+        If the majorant's optical depth is above 1e6, the number of steps that a single run would take.
+    """
     from nqr_geom.streams import Stream
 
     depth = problem.rays.total * problem.medium.tensors["density"][problem.rays.volume.long()]
@@ -187,7 +204,7 @@ def transmittance(
     if closed:
         estimate = _closed(problem)
     elif method in TRACKERS:
-        estimate = _tracked(problem, method, n, seed)
+        estimate = tracked(problem, method, n, seed)
     else:
         from nqr_geom.integrator.estimate import run
 

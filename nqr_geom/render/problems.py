@@ -187,6 +187,10 @@ class TransmittanceProblem(Problem):
     def finalize(self, samples: Samples) -> tuple[Samples, Link]:
         return samples, ExpLink()
 
+    def to(self, device: torch.device | str) -> TransmittanceProblem:
+        """The same integrals on another device."""
+        return replace(self, medium=self.medium.to(device), rays=self.rays.to(device), rows=self.rows.to(device))
+
     def take(self, index: slice | Tensor) -> TransmittanceProblem:
         return replace(self, rays=self.rays.take(index), rows=self.rows[index])
 
