@@ -52,19 +52,21 @@ def toy_tables(rows: list[Row]) -> str:
     lines = []
     for case in cases:
         for design in FIXED:
-            lines.append(
-                [f"{case}, {design}", *(_cell(_find(rows, problem=case, design=design, rule=r)) for r in rules)]
-            )
+            found = [_find(rows, problem=case, design=design, rule=rule) for rule in rules]
+            if not any(found):
+                continue
+            lines.append([f"{case}, {design}", *map(_cell, found)])
             if case.startswith("average"):
                 told = [_cell(_find(rows, problem=case, design=design, rule=r), "variance") for r in rules]
                 paper = ["" if mse is None else short(mse) for mse in PAPER_TOY[design]]
                 lines += [[f"variance, {design}", *told], [f"the paper's average, {design}", *paper]]
     errors = markdown(["mean squared error", *(NAMES[rule] for rule in rules)], lines)
     ratios = []
-    for case in cases[-2:]:
+    for case in (case for case in cases if not case.isdigit()):
         for design in FIXED:
             found = [_find(rows, problem=case, design=design, rule=rule) for rule in rules]
-            ratios.append([f"{case}, {design}", *(_cell(row, "ratio") for row in found)])
+            if any(found):
+                ratios.append([f"{case}, {design}", *(_cell(row, "ratio") for row in found)])
         if case == cases[-1]:
             for design in FIXED:
                 found = [_find(rows, problem=case, design=design, rule=rule) for rule in rules]
@@ -73,6 +75,7 @@ def toy_tables(rows: list[Row]) -> str:
     gains = markdown(["x Monte Carlo, random", *(NAMES[rule] for rule in rules)], ratios)
     adaptive = [row for row in rows if row["design"] not in FIXED]
     pairs = list(dict.fromkeys((row["design"], row["rule"]) for row in adaptive))
+    cases = [case for case in cases if _find(adaptive, problem=case)]
     looks = [
         [
             _method(*pair),
