@@ -33,6 +33,8 @@ CLASSICAL = ("mc", "trapezoid", "regression-3", "regression-5")
 # Structure-aware rule, network on it, network on the uniform base.
 LEARNED = {"toy": ("toy-hermite", "inet-toy-structured", "inet-toy-uniform"),
            "gwn": ("gwn-hermite", "inet-gwn-structured", "inet-gwn-uniform")}  # fmt: skip
+# Small networks that stand for them in compiled code.
+STUDENTS = {"gwn": ("inet-gwn-student", "inet-gwn-student-uniform")}
 
 
 def trained_sampler(problem: str) -> Pair | None:
@@ -53,13 +55,14 @@ def base_of(rule: str) -> str | None:
 
 def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Sequence[str] = DESIGNS) -> list[Pair]:
     """Every rule on fixed designs, the structured method, and the trained sampler under every rule that can count."""
-    pairs = [(design, rule) for design in designs for rule in (*classical, *LEARNED[problem])]
+    rules = (*classical, *LEARNED[problem], *STUDENTS.get(problem, ()))
+    pairs = [(design, rule) for design in designs for rule in rules]
     pairs.append(registry.method("structured", problem))
     joint = trained_sampler(problem)
     if joint is not None:
         base = base_of(joint[1])
-        rules = dict.fromkeys((base or LEARNED[problem][0], LEARNED[problem][0], joint[1], LEARNED[problem][2]))
-        pairs += [(joint[0], rule) for rule in rules]
+        weighing = dict.fromkeys((base or LEARNED[problem][0], LEARNED[problem][0], joint[1], LEARNED[problem][2]))
+        pairs += [(joint[0], rule) for rule in weighing]
     return pairs
 
 

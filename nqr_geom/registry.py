@@ -75,6 +75,8 @@ _MODELS = (
     ("toy-structured", "toy", "network that corrects toy-hermite"),
     ("gwn-uniform", "gwn", "network that corrects plain weights on curves"),
     ("gwn-structured", "gwn", "network that guesses what gwn-hermite has not seen"),
+    ("gwn-student", "gwn", "small network for what gwn-hermite has not seen, compiled with it"),
+    ("gwn-student-uniform", "gwn", "small network that corrects plain weights on curves, compiled"),
     ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
 )
 
@@ -302,6 +304,7 @@ ALIASES: dict[str, str] = {
     "laplace:wos-rqmc": "array-rqmc+mc",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
+    "gwn:student": "stratified+inet-gwn-student",
     "sd:inet": "stratified+inet-sd-uniform",
     "mc": "random+mc",
     "stratified": "stratified+mc",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -60,7 +59,7 @@ class Layers:
         return self.last[0].shape[0] == 3
 
     @property
-    def arrays(self) -> tuple[NDArray, ...]:
+    def arrays(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:
         """What kernels take: inputs padded to a multiple of four."""
         first = np.pad(self.first[0], ((0, 0), (0, -_TOKENS % 4)))
         return first, self.first[1], *self.second, *self.last
@@ -347,6 +346,6 @@ def estimated(
     count = len(points)
     result = Estimated(np.empty(count), np.empty(count), np.empty(count, np.bool_), np.empty(count, np.bool_))
     known = (coefficients, pieces, shape, points, rows, unsigned(key), n, jittered, layers.structured, box)
-    fixed: tuple[Any, ...] = (*known, *layers.arrays, result.learned, result.safe, result.inside, result.doubtful)
+    fixed = (*known, *layers.arrays, result.learned, result.safe, result.inside, result.doubtful)
     over_rows(lambda start, stop: _student_rows(*fixed, start, stop), count)
     return result
