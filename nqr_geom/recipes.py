@@ -24,6 +24,8 @@ from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.toy.gaps import ToyGaps
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
+from nqr_geom.wos.tokens import WALK_TOKENS
+from nqr_geom.wos.training import laplace_batch
 
 __all__ = ["JOINT", "RECIPES", "folder", "model", "named", "sampler"]
 
@@ -36,6 +38,9 @@ _CURVE = TokenConfig(
 
 # The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
 _SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
+
+_WALK = TokenConfig(dim=12, frequencies=0, extra=WALK_TOKENS.size, blind=True)
+_WALK_SEES = ("steps", "length", "finished", "end", "loops")
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
 _SIZES = ((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05))
@@ -128,6 +133,21 @@ RECIPES: dict[str, Recipe] = {
             sizes=_SIZES,
             huber=8.0,
         ),
+        Recipe(
+            name="laplace-uniform",
+            problem="laplace",
+            family=laplace_batch,
+            base="uniform",
+            consistent="mc",
+            # Harmonic functions are linear in their boundary values: blind to them, and exact on constants.
+            config=INetConfig(
+                _WALK, layers=2, heads=4, expansion=2, weights="additive", unit_mass=True, beside=_WALK.dim
+            ),
+            sees=_WALK_SEES,
+            extra=WALK_TOKENS,
+            designs=("random", "latin-hypercube"),
+            largest=128,
+        ),
     )
 }
 
@@ -175,7 +195,8 @@ JOINT: dict[str, JointRecipe] = {
 
 def folder(problem: str) -> Path:
     """Where the models of a problem lie."""
-    room = {"toy": "toy", "gwn": "curves", "sd": "curves"}[check.choice("problem", problem, ["toy", "gwn", "sd"])]
+    rooms = {"toy": "toy", "gwn": "curves", "sd": "curves", "laplace": "wos"}
+    room = rooms[check.choice("problem", problem, list(rooms))]
     return Path(__file__).parent / room / "models"
 
 

@@ -78,7 +78,9 @@ _MODELS = (
     ("gwn-student", "gwn", "small network for what gwn-hermite has not seen, compiled with it"),
     ("gwn-student-uniform", "gwn", "small network that corrects plain weights on curves, compiled"),
     ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
+    ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
 )
+_WALKS = ("laplace",)  # problems whose samples are walks, a coordinate a step
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (
@@ -264,7 +266,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
                 summary,
                 {"name": name},
                 linear=False,
-                dims="1",
+                dims="any" if problem in _WALKS else "1",
                 needs=problem,
                 pieces=6 if problem in ("gwn", "sd") else 0,
             )
@@ -280,7 +282,15 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
         Entry("direct", _RENDER + "direct_problem:DirectProblem", "light of spheres that surfaces reflect"),
     ),
     "model": tuple(
-        Entry(name, _RECIPES + "model", summary, options={"name": name}, linear=False, dims="1", needs=problem)
+        Entry(
+            name,
+            _RECIPES + "model",
+            summary,
+            options={"name": name},
+            linear=False,
+            dims="any" if problem in _WALKS else "1",
+            needs=problem,
+        )
         for name, problem, summary in _MODELS
     ),
 }
@@ -302,6 +312,8 @@ ALIASES: dict[str, str] = {
     "laplace:wos-lhs": "latin-hypercube+mc",
     "laplace:structured": "latin-hypercube+walk-fit",
     "laplace:wos-rqmc": "array-rqmc+mc",
+    "laplace:wos-lhs": "latin-hypercube+mc",
+    "laplace:inet": "latin-hypercube+inet-laplace-uniform",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "gwn:student": "stratified+inet-gwn-student",

@@ -1,8 +1,8 @@
 """Harmonic functions on random polygons with their answers, in batches: what networks over walks learn from.
 
 A network that reads no boundary values is linear in them, so every integral is learned from with all boundary values
-there are: its channels are the hat functions of the vertices, and the answers are the vertices' harmonic measures. The
-mean over channels of squared errors is then, up to a factor, the mean squared error over independent vertex values.
+there are: its channels are the hat functions of the vertices, and the answers are the vertices' harmonic measures, both
+times `SCALE`: the mean over channels of squared errors is then the mean squared error over the family's random values.
 
 The answers cost some fifty milliseconds a polygon, so a fixed number of polygons with many queries each is solved
 once, kept on disk, and asked again and again with fresh walks. Polygons of the three splits have nothing in common.
@@ -10,6 +10,7 @@ once, kept on disk, and asked again and again with fresh walks. Polygons of the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -24,14 +25,14 @@ from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.integrator.problem import Observation
 from nqr_geom.streams import Stream
 from nqr_geom.wos.domain import Domain
-from nqr_geom.wos.families import VERTICES, polygons, queries
+from nqr_geom.wos.families import VERTICES, PolygonFamily, polygons, queries
 from nqr_geom.wos.kept import kept
 from nqr_geom.wos.measures import vertex_measures
 from nqr_geom.wos.nearest import join
 from nqr_geom.wos.problems import STEPS, LaplaceProblem
 from nqr_geom.wos.record import Record, record
 
-__all__ = ["HatProblem", "laplace_batch", "pool"]
+__all__ = ["SCALE", "HatProblem", "laplace_batch", "pool"]
 
 Floats = NDArray[np.float64]
 
@@ -40,10 +41,12 @@ QUERIES = 64  # a polygon
 BLOCK = 64  # polygons in a file
 _EPSILON = 1e-3
 
+SCALE = PolygonFamily().size * math.sqrt(VERTICES)
+
 
 @njit(cache=True, nogil=True)
-def _hats(edge, t, value, known):  # type: ignore[no-untyped-def]
-    """Hat functions of the vertices where walks ended, (B, N, V), and where they were seen, (B, N, V, D)."""
+def _hats(edge, t, scale, value, known):  # type: ignore[no-untyped-def]
+    """Hat functions of the vertices times `scale` where walks ended, (B, N, V), and at all steps, (B, N, V, D)."""
     count, dim = value.shape[2], known.shape[3]
     for i in range(value.shape[0]):
         for w in range(value.shape[1]):
@@ -51,9 +54,9 @@ def _hats(edge, t, value, known):  # type: ignore[no-untyped-def]
                 a, s = edge[i, w, j], t[i, w, j]
                 b = (a + 1) % count
                 if j < dim:
-                    known[i, w, a, j], known[i, w, b, j] = 1.0 - s, s
+                    known[i, w, a, j], known[i, w, b, j] = scale * (1.0 - s), scale * s
                 else:
-                    value[i, w, a], value[i, w, b] = 1.0 - s, s
+                    value[i, w, a], value[i, w, b] = scale * (1.0 - s), scale * s
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +97,7 @@ class HatProblem(ManyPolygons):
         walks, edge, features = self.walked(x)
         batch, n, dim = x.shape
         value, known = np.zeros((batch, n, VERTICES)), np.zeros((batch, n, VERTICES, dim))
-        _hats(edge, walks.t, value, known)
+        _hats(edge, walks.t, SCALE, value, known)
         features["known"] = torch.from_numpy(known).flatten(2)[:, :, None]
         return Observation(torch.from_numpy(value)[:, :, None], features, queries=int(walks.made.sum()))
 
@@ -149,4 +152,4 @@ def laplace_batch(rows: Tensor, seed: int, split: str) -> Batch:
     """Harmonic measures at a query of a polygon of the pool for each of `rows` (B,)."""
     found = pool(split, seed)
     pick = (Stream(seed, split, "picks").uniform(rows) * len(found.measures)).long()
-    return Batch(replace(found.problem.take(pick), rows=rows), found.measures[pick].double())
+    return Batch(replace(found.problem.take(pick), rows=rows), SCALE * found.measures[pick].double())

@@ -86,7 +86,7 @@ def test_an_absolute_shell_would_be_wrong_in_the_channel():
     assert abs(wide[0] - 0.25) > 0.015
 
 
-@pytest.mark.parametrize("method", ["auto", "wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"])
+@pytest.mark.parametrize("method", ["auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"])
 @pytest.mark.parametrize("value", [0.1, -7.0, 1e60])
 def test_a_constant_is_that_constant_exactly(method, value):
     polygon = shapely.Polygon(2 * RING[::8], [RING[::8]])
@@ -95,7 +95,7 @@ def test_a_constant_is_that_constant_exactly(method, value):
         assert (ng.solve_laplace(polygon, boundary, points, method=method, n=50) == value).all()
 
 
-@pytest.mark.parametrize("method", ["wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"])
+@pytest.mark.parametrize("method", ["wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"])
 def test_points_outside_are_refused_or_nan(method):
     points = [[0.5, 0.5], [2.0, 0.5], [1e200, 0.0]]
     with pytest.raises(ValueError, match=r"points: expected points inside.*row 1"):
@@ -114,7 +114,7 @@ def test_maximum_principle():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"method": "magic"}, "method: expected one of auto, wos, wos-lhs, wos-rqmc, structured, boundary, fem"),
+        ({"method": "magic"}, "method: expected one of auto, wos, wos-lhs, wos-rqmc, structured, inet, boundary, fem"),
         ({"points": [[np.nan, 0.5]]}, "points: expected finite"),
         ({"points": [0.5, 0.5]}, "points: expected shape"),
         ({"tol": 0.0}, "tol: "),
@@ -124,6 +124,8 @@ def test_maximum_principle():
         ({"outside": "clip"}, "outside: "),
         ({"method": "boundary", "source": 1.0}, "source: expected none with method 'boundary'"),
         ({"method": "wos-lhs", "screening": 1.0}, "screening: expected none with method 'wos-lhs'"),
+        ({"method": "inet", "source": 1.0}, "source: expected none with method 'inet'"),
+        ({"method": "inet", "max_steps": 20}, "max_steps: expected 12 with method 'inet'"),
         ({"boundary": [1.0, 2.0]}, "boundary: expected 4 values"),
         ({"polygon": SQUARE[[0, 2, 1, 3]]}, "polygon: expected an outline that does not cross"),
         ({"method": "wos", "source": lambda p: p}, "source: expected a callable that gives shape"),
@@ -146,5 +148,5 @@ def test_auto_says_what_it_chose():
 
 
 def test_no_points():
-    for method in ("wos", "wos-lhs", "wos-rqmc", "structured", "boundary", "fem"):
+    for method in ("wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"):
         assert ng.solve_laplace(SQUARE, np.arange(4.0), np.zeros((0, 2)), method=method).shape == (0,)

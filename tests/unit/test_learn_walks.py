@@ -137,7 +137,7 @@ def test_hat_channels_are_all_boundary_values_at_once() -> None:
     x = torch.rand(30, 8, 12, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     hats = batch.problem.evaluate(x)
     values = [torch.from_numpy(b.linear[:, 0]) for b in batch.problem.boundaries]
-    mine = torch.stack([values[k] for k in batch.problem.shape])
+    mine = torch.stack([values[k] for k in batch.problem.shape]) / training.SCALE
     plain = LaplaceProblem.evaluate(batch.problem, x)
     np.testing.assert_allclose((hats.value[:, :, 0] * mine[:, None]).sum(-1), plain.value[:, :, 0, 0], atol=1e-12)
     samples = Samples(x, hats, None, "random")
