@@ -138,6 +138,25 @@ def orders(rows: list[Row]) -> str:
     )
 
 
+def walk_methods(rows: list[Row]) -> str:
+    return markdown(
+        ["32 walks of 12 steps", "mean squared error", "x Monte Carlo", "95%", "median", "99%", "us a query", "x its time"],
+        [
+            [
+                f"{r['problem']}: {r['method']}",
+                short(r["mse"]),
+                short(r["ratio"]),
+                interval(r),
+                short(r["median"]),
+                short(r["p99"]),
+                short(r["us_per_query"]),
+                short(r["times_mc"]),
+            ]
+            for r in rows
+        ],
+    )
+
+
 def walks(rows: list[Row]) -> str:
     return markdown(
         ["32 walks of 12 steps", "mean squared error", "x Monte Carlo", "95%", "paper"],
@@ -162,6 +181,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("gwn_strategy", "Fig. 26: weights on the curve", layouts.gwn_strategy),
     ("gwn_huber", "What the robust loss is worth on winding numbers", layouts.gwn_huber),
     ("boundary_solver", "Laplace's equation by the boundary solver", boundary),
+    ("wos_methods", "Walks on spheres: rules and samplers on Fig. 41's polygons and far from them", walk_methods),
     ("wos_baselines", "Walks on spheres on the polygons of Fig. 41", walks),
     ("fem_orders", "p-Laplacian by finite elements", orders),
     ("toy_calibration", "How close the toy family is to the paper's", calibration),
