@@ -8,21 +8,21 @@ import numpy as np
 import torch
 
 import nqr_geom as ng
-from nqr_geom import registry
+from nqr_geom import registry, render
 from nqr_geom.streams import Stream
 from nqr_geom.through import see_through
 
 RAYS = {"through the thick of it": (4.2, 5.3), "through a small puff": (8.2, 3.0)}
 
 
-def density(cloud: ng.render.Spheres, place: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def density(cloud: render.Spheres, place: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Distance and density along a ray in z."""
     t = np.linspace(0.0, 10.0, 1001)
     points = np.column_stack([np.full_like(t, place[0]), np.full_like(t, place[1]), t])
     return t, cloud.components(points).density
 
 
-def looked_at(cloud: ng.render.Spheres, place: tuple[float, float], n: int) -> tuple[np.ndarray, np.ndarray]:
+def looked_at(cloud: render.Spheres, place: tuple[float, float], n: int) -> tuple[np.ndarray, np.ndarray]:
     """Where n samples of the structured method lie along a ray, and the density there."""
     problem = ng.problems.transmittance(cloud, [[*place, 0.0]], [[0.0, 0.0, 1.0]], 10.0, support="pieces")
     samples = registry.make("sampler", "noise-refine").draw(problem, n, Stream(0, name="samples/0"))
