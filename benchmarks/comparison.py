@@ -7,8 +7,9 @@ sampler (`method="nqr"` of a problem) joins every comparison as soon as the regi
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,11 @@ from nqr_geom import registry
 from nqr_geom.integrator.bootstrap import Bootstrap
 from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.frontier import refusal
-from nqr_geom.integrator.problem import Problem
+from nqr_geom.integrator.learn.inet import UniformWeights
+from nqr_geom.integrator.problem import Problem, Samples
+from nqr_geom.integrator.rules import Rule
+from nqr_geom.integrator.samplers import Sampler
+from nqr_geom.streams import Stream
 
 Floats = NDArray[np.float64]
 Pair = tuple[str, str]  # sampler, rule
@@ -42,15 +47,18 @@ def trained_sampler(problem: str) -> Pair | None:
     return registry.method("nqr", problem) if f"{problem}:nqr" in registry.ALIASES else None
 
 
-def base_of(rule: str) -> str | None:
-    """The rule that a network corrects; "mc" for the uniform base, None for what is no network."""
+def base_of(rule: str, design: str = "random") -> str | None:
+    """The rule that a network corrects, None for what is no network.
+
+    The uniform base is "mc" on uniform points and, as no registry knows it, "uniform" (W = 1) elsewhere.
+    """
     from nqr_geom import recipes
 
     pairs = {name: pair.rule for name, pair in getattr(recipes, "JOINT", {}).items()}
     recipe = (recipes.RECIPES | pairs).get(rule.removeprefix("inet-"))
     if recipe is None or not rule.startswith("inet-"):
         return None
-    return "mc" if recipe.base == "uniform" else recipe.base
+    return "mc" if recipe.base == "uniform" and design in DESIGNS else recipe.base
 
 
 def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Sequence[str] = DESIGNS) -> list[Pair]:
@@ -60,7 +68,7 @@ def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Seque
     pairs.append(registry.method("structured", problem))
     joint = trained_sampler(problem)
     if joint is not None:
-        base = base_of(joint[1])
+        base = base_of(*joint[::-1])
         weighing = dict.fromkeys((base or LEARNED[problem][0], LEARNED[problem][0], joint[1], LEARNED[problem][2]))
         pairs += [(joint[0], rule) for rule in weighing]
     return pairs
@@ -90,16 +98,53 @@ class Errors:
         return self.deviations**2
 
 
-def errors_of(problem: Problem, pair: Pair, runs: int = 1, n: int = N, seed: int = SEED) -> Errors:
-    """Run a pair `runs` times, with seeds from `seed` on."""
+@dataclass
+class Remembered(Sampler):
+    """A trained sampler that draws once for all rules: it takes far longer than they do.
+
+    Parameters
+    ----------
+    inner : Sampler
+        What draws.
+    kept : dict
+        Samples by integrals, number and stream, with the seconds that they took.
+    spent : float
+        Seconds of drawing that remembering has saved.
+    """
+
+    inner: Sampler
+    kept: dict[tuple[int, ...], tuple[Samples, float]] = field(default_factory=dict)
+    spent: float = 0.0
+
+    def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
+        key = (stream.key, n, *problem.rows.tolist())
+        if key in self.kept:
+            samples, seconds = self.kept[key]
+            self.spent += seconds
+            return samples
+        start = time.perf_counter()
+        samples = self.inner.draw(problem, n, stream)
+        self.kept[key] = samples, time.perf_counter() - start
+        return samples
+
+
+def errors_of(
+    problem: Problem, pair: Pair, runs: int = 1, n: int = N, seed: int = SEED, sampler: Sampler | None = None
+) -> Errors:
+    """Run a pair `runs` times, with seeds from `seed` on; `sampler` may be the pair's, remembered."""
     truth = problem.reference()
     assert truth is not None
-    sampler, rule = registry.make("sampler", pair[0]), registry.make("rule", pair[1])
-    parts = [run(problem, sampler, rule, n, seed=seed + r) for r in range(runs)]
+    place = sampler or registry.make("sampler", pair[0])
+    rule: Rule = UniformWeights() if pair[1] == "uniform" else registry.make("rule", pair[1])
+    parts, seconds = [], []
+    for r in range(runs):
+        before = getattr(place, "spent", 0.0)
+        parts.append(run(problem, place, rule, n, seed=seed + r))
+        seconds.append(parts[-1].seconds + getattr(place, "spent", 0.0) - before)
     return Errors(
         np.concatenate([part.value - truth for part in parts], axis=1),
         float(np.mean([part.fallback.mean() for part in parts])),
-        1e6 * min(part.seconds for part in parts) / problem.batch,
+        1e6 * min(seconds) / problem.batch,
     )
 
 
@@ -120,8 +165,13 @@ def rows_of(
     """
     groups = problem.groups
     bootstrap = Bootstrap.of(groups, runs, SEED)
-    chosen = [pair for pair in dict.fromkeys((PLAIN, *pairs)) if refusal(problem, *pair, n) is None]
-    found = {pair: errors_of(problem, pair, runs, n) for pair in chosen}
+    fits = (p for p in dict.fromkeys((PLAIN, *pairs)) if p[1] == "uniform" or refusal(problem, *p, n) is None)
+    chosen = list(fits)
+    samplers = {design: registry.make("sampler", design) for design, _ in chosen}
+    joint = trained_sampler(problem.name)
+    if joint is not None and joint[0] in samplers:
+        samplers[joint[0]] = Remembered(samplers[joint[0]])
+    found = {pair: errors_of(problem, pair, runs, n, sampler=samplers[pair[0]]) for pair in chosen}
     plain = found[PLAIN].squared
     rows = []
     for pair in chosen:
@@ -143,7 +193,7 @@ def rows_of(
             row["variance"] = float(found[pair].deviations.var())
         if shapes:
             row["by_shape"] = [float(e[groups == shape].mean()) for shape in np.unique(groups)]
-        base = base_of(pair[1])
+        base = base_of(pair[1], pair[0])
         if base is not None and (pair[0], base) in found:
             under = found[pair[0], base].squared
             row |= {"base": base, "gain": float(under.mean() / e.mean()), "gain_interval": bootstrap.ratio(under, e)}

@@ -23,6 +23,7 @@ NAMES = {
     "inet-gwn-student": "student of it",
     "inet-gwn-student-uniform": "student, uniform base",
     "inet-sd-uniform": "INet, uniform base",
+    "uniform": "W = 1",
     "pieces known": "pieces known",
 }
 

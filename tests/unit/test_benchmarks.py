@@ -9,6 +9,9 @@ from types import ModuleType
 import pytest
 
 from nqr_geom import registry
+from nqr_geom.integrator.problem import Problem, Samples
+from nqr_geom.integrator.samplers import Random
+from nqr_geom.streams import Stream
 from nqr_geom.toy.problem import ToyProblem
 
 
@@ -43,3 +46,20 @@ def test_pairs_that_do_not_fit_are_left_out(comparison: ModuleType) -> None:
     """Greedy samples have no density, so that Monte Carlo refuses them."""
     rows = comparison.rows_of("toy", ToyProblem.family(2), [("toy-split", "mc"), ("toy-split", "toy-hermite")])
     assert [(row["design"], row["rule"]) for row in rows] == [("random", "mc"), ("toy-split", "toy-hermite")]
+
+
+def test_a_remembered_sampler_draws_once(comparison: ModuleType) -> None:
+    calls = []
+
+    class Counting(Random):
+        def draw(self, problem: Problem, n: int, stream: Stream) -> Samples:
+            calls.append(stream.key)
+            return super().draw(problem, n, stream)
+
+    problem, kept = ToyProblem.family(16), comparison.Remembered(Counting())
+    pairs = [("random", rule) for rule in ("mc", "trapezoid", "uniform")]
+    plain, trapezoid, uniform = (comparison.errors_of(problem, pair, 2, sampler=kept).deviations for pair in pairs)
+    assert len(calls) == 2  # one for each run
+    assert (plain == comparison.errors_of(problem, ("random", "mc"), 2).deviations).all()
+    assert (plain == uniform).all()  # on uniform points
+    assert not (plain == trapezoid).any()
