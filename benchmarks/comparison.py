@@ -61,6 +61,12 @@ def base_of(rule: str, design: str = "random") -> str | None:
     return "mc" if recipe.base == "uniform" and design in DESIGNS else recipe.base
 
 
+def rule_named(name: str) -> Rule:
+    """A rule of the registry, or W = 1."""
+    rule: Rule = UniformWeights() if name == "uniform" else registry.make("rule", name)
+    return rule
+
+
 def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Sequence[str] = DESIGNS) -> list[Pair]:
     """Every rule on fixed designs, the structured method, and the trained sampler under every rule that can count."""
     rules = (*classical, *LEARNED[problem], *STUDENTS.get(problem, ()))
@@ -135,7 +141,7 @@ def errors_of(
     truth = problem.reference()
     assert truth is not None
     place = sampler or registry.make("sampler", pair[0])
-    rule: Rule = UniformWeights() if pair[1] == "uniform" else registry.make("rule", pair[1])
+    rule = rule_named(pair[1])
     parts, seconds = [], []
     for r in range(runs):
         before = getattr(place, "spent", 0.0)

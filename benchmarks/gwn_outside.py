@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from comparison import LEARNED, SEED, N, Pair, pairs_for, trained_sampler
+from comparison import LEARNED, SEED, N, Pair, pairs_for, rule_named, trained_sampler
 from figures import DOCS, figure, save
 from numpy.typing import NDArray
 from rich.console import Console
@@ -73,13 +73,13 @@ def monte_carlo(problem: GwnProblem, parts: int, seed: int) -> Floats:
 
 def together(problem: GwnProblem, pair: Pair, parts: int, seed: int) -> Floats:
     """The mean of as many estimates of the whole as there are parts."""
-    sampler, rule = registry.make("sampler", pair[0]), without_limits(registry.make("rule", pair[1]))
+    sampler, rule = registry.make("sampler", pair[0]), without_limits(rule_named(pair[1]))
     return run(problem, sampler, rule, N, replicates=parts, seed=seed).value
 
 
 def decomposed(curve: ng.Curve, problem: GwnProblem, pair: Pair, seed: int) -> Floats:
     """The sum over parts; every part has rows of its own, so that no two share their random numbers."""
-    sampler, rule = registry.make("sampler", pair[0]), registry.make("rule", pair[1])
+    sampler, rule = registry.make("sampler", pair[0]), rule_named(pair[1])
     total = np.zeros((problem.batch, 1))
     for k, part in enumerate(curve.split_pieces(SIX)):
         piece = replace(GwnProblem.of(part, problem.points.numpy()), rows=problem.rows + 2**40 * k)

@@ -62,7 +62,7 @@ def _look(design: str, rule: str) -> dict[str, Any]:
     """Colour by rule; adaptive samplers dashed, the trained one in a colour of its own."""
     name = NAMES.get(rule, rule)
     if design in DESIGNS:
-        return {"color": COLOURS[rule], "ls": "-", "marker": "o", "ms": 3.0, "lw": 1.5, "label": name}
+        return {"color": COLOURS.get(rule, SEVERAL[5]), "ls": "-", "marker": "o", "ms": 3.0, "lw": 1.5, "label": name}
     trained = trained_sampler("toy")
     mine = trained is not None and design == trained[0]
     colour = SEVERAL[3] if trained == (design, rule) else COLOURS.get(rule, "0.5")
