@@ -107,9 +107,17 @@ def main() -> None:
     table = Table("problem", "method", "MSE", "x MC", "95%", "median", "flagged", "us", "times MC")
     for row in rows:
         low, high = row["ratio_interval"]
-        table.add_row(row["problem"], row["method"], f"{row['mse']:.2e}", f"{row['ratio']:.1f}",
-                      f"{low:.1f} .. {high:.1f}", f"{row['median']:.1e}", f"{row['fallback']:.1%}", f"{row['us_per_query']:.0f}",
-                      f"{row['times_mc']:.1f}")  # fmt: skip
+        table.add_row(
+            row["problem"],
+            row["method"],
+            f"{row['mse']:.2e}",
+            f"{row['ratio']:.1f}",
+            f"{low:.1f} .. {high:.1f}",
+            f"{row['median']:.1e}",
+            f"{row['fallback']:.1%}",
+            f"{row['us_per_query']:.0f}",
+            f"{row['times_mc']:.1f}",
+        )
     Console(width=140).print(table)
     if not quick:
         print(write("wos_methods", rows, shapes=shapes, points=points, runs=runs, walks=WALKS, far=far))
