@@ -197,7 +197,7 @@ class TransmittanceProblem(Problem):
     def reference(self) -> NDArray[np.float64]:
         """True answers (B, 1): closed form in homogeneous media, else unbiased marches with 2048 queries on average.
 
-        The error of these is some 1e-4 on noisy clouds (`benchmarks/transmittance.py` measures it).
+        The error of these is some 1e-6 on the random clouds (`benchmarks/transmittance.py` measures it).
         """
         if self.medium.kind == Homogeneous.kind and not self.medium.noisy:
             density = self.medium.tensors["density"][self.rays.volume.long()]
