@@ -48,7 +48,8 @@ def methods(rows: Sequence[Row]) -> str:
     runs = rows[-1]["runs"]
     below = ["rule, samples", f"mean squared error, {runs} runs", "squared bias", "x Monte Carlo", "squared bias, 95%"]
     pictures = picture("sd-fields.png", "fields and errors") + "\n" + picture("sd-bias.png", "squared biases")
-    return markdown(head, errors) + "\n" + markdown(below, biases) + "\n" + pictures
+    about = "\nOne held-out shape; the means below the pictures are those of the tables.\n\n"
+    return markdown(head, errors) + "\n" + markdown(below, biases) + about + pictures
 
 
 def ablation(rows: Sequence[Row]) -> str:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import layouts
+import layouts_sd
 import layouts_render
 from page import Row, interval, markdown, short, span
 
@@ -180,6 +181,9 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("gwn_outside", "Fig. 25: shapes outside the family, 32 samples for every six pieces", layouts.gwn_outside),
     ("gwn_strategy", "Fig. 26: weights on the curve", layouts.gwn_strategy),
     ("gwn_huber", "What the robust loss is worth on winding numbers", layouts.gwn_huber),
+    ("sd_methods", "Figs. 45 and 46: smoothed distances, 32 samples", layouts_sd.methods),
+    ("sd_ablation", "Fig. 44: what offset, outer loss and absolute value are worth", layouts_sd.ablation),
+    ("sd_strategy", "Fig. 47: where samples of a smoothed distance lie and what they weigh", layouts_sd.strategy),
     ("boundary_solver", "Laplace's equation by the boundary solver", boundary),
     ("wos_methods", "Walks on spheres: rules and samplers on Fig. 41's polygons and far from them", walk_methods),
     ("wos_baselines", "Walks on spheres on the polygons of Fig. 41", walks),
