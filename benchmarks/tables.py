@@ -14,6 +14,7 @@ from pathlib import Path
 
 import layouts
 import layouts_sd
+import layouts_direct
 import layouts_render
 from page import Row, interval, markdown, short, span
 
@@ -191,6 +192,9 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("toy_calibration", "How close the toy family is to the paper's", calibration),
     ("transmittance", "Table 12: transmittance of clouds, a donut and letters", layouts_render.transmittance),
     ("transmittance", "Fig. 29: what is left of the error in the mean", layouts_render.transmittance_bias),
+    ("direct_light", "Tables 3 and 10: direct light, scenes of Fig. 39 and outside the family", layouts_direct.methods),
+    ("mitsuba_direct", "Direct light beside Mitsuba 3, same run, all cores", layouts_direct.mitsuba),
+    ("effects", "Only what a scene calls for: direct light, 16 passes, processor time", layouts_direct.effects),
     ("transmittance_effects", "Only what a volume calls for: 25,600 rays, 24 queries", layouts_render.effects),
 ]
 

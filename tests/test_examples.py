@@ -21,6 +21,7 @@ def test_no_example_is_left_out() -> None:
         "gwn_of_svg",
         "light_through_a_cloud",
         "p_laplace_values",
+        "room_by_four_methods",
         "sd_of_text",
         "toy_frontier",
         "toy_rules",
@@ -62,6 +63,13 @@ def test_light_through_a_cloud(tmp_path: Path) -> None:
     gain = import_module("examples.light_through_a_cloud").main(tmp_path, resolution=64)
     assert gain == pytest.approx(53.5, rel=0.05)
     assert (tmp_path / "light_through_a_cloud.png").stat().st_size > 10_000
+
+
+def test_room_by_four_methods(tmp_path: Path) -> None:
+    errors = import_module("examples.room_by_four_methods").main(tmp_path, size=48, truth_passes=512)
+    assert errors["random"] / errors["mis"] == pytest.approx(8.3, rel=0.25)
+    assert errors["structured"] < errors["mis"]
+    assert (tmp_path / "room_by_four_methods.png").stat().st_size > 10_000
 
 
 def test_walks_from_a_point(tmp_path: Path) -> None:

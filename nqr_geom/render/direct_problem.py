@@ -43,6 +43,9 @@ LAYOUT = {
     "irradiance": (18, 1),
     "diffuse_share": (19, 3),
     "light": (22, 1),
+    "radiance": (23, 3),
+    "visible": (26, 1),
+    "unhidden": (27, 3),
 }
 
 _PSS = ((2, 0, 1), (3, 4, 5))  # axes of each technique, as Table 5 has them: lobe and direction, light and point
@@ -53,7 +56,8 @@ class DirectProblem(Problem):
     """What light reaches B pixels of some scenes by one reflection, three channels each.
 
     Features beyond the schema are for rules: "light" (-1 for none), "chance" of that light, "lambert" (cosine over
-    density), "irradiance" of the unhidden light at radiance 1, and "diffuse_share" of the reflection.
+    density), "irradiance" of the unhidden light at radiance 1, its "radiance", the "visible" part of it,
+    "diffuse_share" of the reflection, and "unhidden", the irradiance of all lights at once.
 
     Parameters
     ----------

@@ -61,26 +61,43 @@ class UnhiddenLight(Rule):
 
     The samples of a light estimate its contribution with and without what stands in the way. The ratio of the two,
     times the exact one without, does not see how the light was chosen nor how the cosine varies over it: where a light
-    is quite visible or quite hidden it is exact on diffuse surfaces. Lights that may be missed by chance, and glossy
-    lobes, keep the balance heuristic.
+    is quite visible or quite hidden it is exact on diffuse surfaces. Lights that may be missed by chance keep the
+    balance heuristic, with their exact unhidden irradiance as control variate, as strong as the other lights are
+    visible. Glossy lobes keep the balance heuristic.
     """
 
     name = "direct-unhidden"
 
     def combine(self, samples: Samples) -> Combination:
-        light, lambert, chance, irradiance, share = (
-            samples.feature(name, self.name) for name in ("light", "lambert", "chance", "irradiance", "diffuse_share")
-        )
+        light, lambert, chance, irradiance, share, radiance, visible, unhidden, f = (
+            samples.feature(name, self.name)
+            for name in (
+                "light", "lambert", "chance", "irradiance", "diffuse_share", "radiance", "visible", "unhidden", "bsdf"
+            )
+        )  # fmt: skip
         self._need_pdf(samples)
         balance = BalanceHeuristic().combine(samples).weights  # (B, N, T, 1)
-        counted = balance * lambert * (1.0 / samples.n)
+        counted = torch.where(light >= 0, balance * lambert / samples.n, 0.0)
+        sure = (light >= 0) & (chance >= sure_chance(samples.design, samples.n))
         ratio = torch.ones_like(lambert)
+        missed = unhidden[:, 0, 0].clone()  # (B, 3)
         for j in torch.unique(light):  # the lights of this tile
-            if j < 0:
-                continue
-            of = light == j
-            sampled = row_sum(torch.where(of, counted, 0.0).sum(dim=2))[:, None, None]  # (B, 1, 1, 1)
-            usable = of & (chance >= sure_chance(samples.design, samples.n)) & (sampled > 0.0)
-            ratio = torch.where(usable, irradiance / torch.where(sampled > 0.0, sampled, 1.0), ratio)
-        weights: Tensor = balance * (1.0 + share * (ratio - 1.0))
-        return Combination(weights)
+            of = sure & (light == j)
+            sampled = _total(torch.where(of, counted, 0.0))[:, None, None]  # (B, 1, 1, 1)
+            used = of & (sampled > 0.0)
+            ratio = torch.where(used, irradiance / torch.where(sampled > 0.0, sampled, 1.0), ratio)
+            # Every sample of a light says the same of it.
+            missed = missed - torch.where(used, irradiance * radiance, 0.0).amax(dim=(1, 2))
+        missed = missed - _total(torch.where(sure, 0.0, counted * radiance))
+        certain = _total(torch.where(sure, counted, 0.0))
+        shown = _total(torch.where(sure, counted * visible, 0.0))
+        every = _total(counted)
+        strength = torch.where(certain > 0.0, shown / torch.where(certain > 0.0, certain * every, 1.0), 0.0)
+        offset = strength * _total(counted * f * share) * missed
+        weights = balance * (1.0 + share * (ratio - 1.0))
+        return Combination(weights, offset)
+
+
+def _total(terms: Tensor) -> Tensor:
+    """Sum over samples and techniques, (B, N, T, C) -> (B, C)."""
+    return row_sum(terms.sum(dim=2))

@@ -19,7 +19,7 @@ from nqr_geom.render.kernels_numbers import Numbers, coordinate, shuffle
 __all__ = ["EXTRA", "OFFSET", "Ball", "Pass", "Place", "World", "kernel"]
 
 OFFSET = 1e-5
-EXTRA = 24  # numbers that `observe` writes for each technique beside value and densities
+EXTRA = 30  # numbers that `observe` writes for each technique beside value and densities
 
 _OFFSET = wp.constant(wp.float64(OFFSET))
 _ZERO = wp.constant(wp.float64(0.0))
@@ -79,6 +79,7 @@ class Sample:
     other: wp.float64
     lambert: wp.float64
     chance: wp.float64
+    visible: wp.float64  # part of the light that arrives
     light: wp.int32
     rays: wp.int32
     marched: wp.int32  # density queries
@@ -224,6 +225,7 @@ def _one_pass(shadows: bool, gloss: bool, selection: bool, medium: tuple[str, bo
                 if not blocked(world, place, start, w, met.chance):
                     kept = through(world, place, s.position, w, met.chance)
                     made.marched = wp.int32(kept[1])
+                    made.visible = kept[0]
                     made.value = wp.cw_mul(lobes.whole, light.radiance) * (made.lambert * kept[0])
         return made
 
@@ -261,6 +263,7 @@ def _one_pass(shadows: bool, gloss: bool, selection: bool, medium: tuple[str, bo
             if not blocked(world, place, start, w, distance):
                 kept = through(world, place, s.position, w, distance)
                 made.marched = wp.int32(kept[1])
+                made.visible = kept[0]
                 made.value = wp.cw_mul(lobes.whole, light.radiance) * (made.lambert * kept[0])
         return made
 
@@ -288,16 +291,24 @@ def balance(s: Sample) -> wp.float64:
 
 @wp.func
 def write_extra(
-    extra: wp.array(dtype=wp.float64), s: Sample, world: World, surface: Surface, nee: wp.float64, bsdf: wp.float64
+    extra: wp.array(dtype=wp.float64),
+    s: Sample,
+    world: World,
+    surface: Surface,
+    unhidden: wp.vec3d,
+    nee: wp.float64,
+    bsdf: wp.float64,
 ):
     """The features of one sample, in the order of `direct_problem.LAYOUT`."""
     for c in range(3):
         extra[c] = s.direction[c]
         extra[8 + c] = s.f[c]
         extra[19 + c] = s.share[c]
+        extra[27 + c] = unhidden[c]
     extra[3] = nee
     extra[7] = bsdf
     extra[17] = s.lambert
+    extra[26] = s.visible
     extra[22] = wp.float64(-1.0)
     if s.light >= 0:
         light = world.lights[s.light]
@@ -311,6 +322,8 @@ def write_extra(
                 extra[11 + c] = away[c] / distance
         extra[14] = distance
         extra[15] = light.radius
+        for c in range(3):
+            extra[23 + c] = light.radiance[c]
         extra[16] = s.chance
         extra[18] = irradiance(light.centre, light.radius, surface.position, surface.normal)
         extra[22] = wp.float64(s.light)
@@ -336,6 +349,10 @@ def _observe(one_pass: Any) -> Any:
             place = world.places[s.scene]
             out = to_local(frame_of(s.normal), s.outgoing)
             start = s.position + _OFFSET * s.geometric
+            unhidden = wp.vec3d()
+            for j in range(place.lights, place.lights_end):
+                light = world.lights[j]
+                unhidden += irradiance(light.centre, light.radius, s.position, s.normal) * light.radiance
             for i in range(x.shape[1]):
                 made = one_pass(
                     world, place, s, out, start,
@@ -347,8 +364,8 @@ def _observe(one_pass: Any) -> Any:
                 density[row, i, 0, 1] = made.bsdf.other
                 density[row, i, 1, 0] = made.nee.other
                 density[row, i, 1, 1] = made.nee.own
-                write_extra(extra[row][i][0], made.bsdf, world, s, made.bsdf.other, made.bsdf.own)
-                write_extra(extra[row][i][1], made.nee, world, s, made.nee.own, made.nee.other)
+                write_extra(extra[row][i][0], made.bsdf, world, s, unhidden, made.bsdf.other, made.bsdf.own)
+                write_extra(extra[row][i][1], made.nee, world, s, unhidden, made.nee.own, made.nee.other)
                 rays[row, 0] = rays[row, 0] + made.bsdf.rays
                 rays[row, 1] = rays[row, 1] + made.nee.rays
                 rays[row, 2] = rays[row, 2] + made.bsdf.marched + made.nee.marched
@@ -407,17 +424,41 @@ def _balance(one_pass: Any) -> Any:
     return fused
 
 
+@wp.struct
+class Unhidden:
+    """Sums over samples under the balance heuristic, see `direct_rules.UnhiddenLight`."""
+
+    rest: wp.vec3d  # what keeps the balance heuristic: gloss, and lights that may be missed
+    missed: wp.vec3d  # unhidden irradiance from lights that may be missed
+    reflected: wp.vec3d  # diffuse reflection, by the next sum
+    lambert: wp.float64
+    sure: wp.float64  # the last one, of lights that are sure to be sampled
+    visible: wp.float64  # and what of it arrives
+
+
 @wp.func
 def gather(
-    sums: wp.array(dtype=wp.vec4d), s: Sample, weight: wp.float64, light: wp.int32, sure: wp.float64
-) -> wp.vec3d:
-    """Put a sample's diffuse part to its light's sums, where the light is sure to be sampled; the rest stays."""
+    sums: wp.array(dtype=wp.vec4d), so_far: Unhidden, world: World, s: Sample, first: wp.int32, sure: wp.float64
+) -> Unhidden:
+    """Add a sample; the diffuse part of a light that is sure to be sampled goes to that light's sums."""
+    made = so_far
+    if s.light < 0:
+        return made
+    weight = balance(s)
     value = weight * s.value
-    if s.light < 0 or s.chance < sure:
-        return value
+    part = weight * s.lambert
+    made.reflected += part * wp.cw_mul(s.f, s.share)
+    made.lambert += part
+    if s.chance < sure:
+        made.rest += value
+        made.missed += part * world.lights[s.light].radiance
+        return made
     diffuse = wp.cw_mul(value, s.share)
-    sums[light] = sums[light] + wp.vec4d(diffuse[0], diffuse[1], diffuse[2], weight * s.lambert)
-    return value - diffuse
+    sums[s.light - first] = sums[s.light - first] + wp.vec4d(diffuse[0], diffuse[1], diffuse[2], part)
+    made.rest += value - diffuse
+    made.sure += part
+    made.visible += part * s.visible
+    return made
 
 
 def _structured(one_pass: Any) -> Any:
@@ -444,7 +485,7 @@ def _structured(one_pass: Any) -> Any:
             out = to_local(frame_of(s.normal), s.outgoing)
             start = s.position + _OFFSET * s.geometric
             shuffle(numbers, at, row, n)
-            total = wp.vec3d()
+            so_far = Unhidden()
             for i in range(n):
                 made = one_pass(
                     world, place, s, out, start,
@@ -452,18 +493,24 @@ def _structured(one_pass: Any) -> Any:
                     coordinate(numbers, at, row, i, 2), coordinate(numbers, at, row, i, 3),
                     coordinate(numbers, at, row, i, 4), coordinate(numbers, at, row, i, 5),
                 )  # fmt: skip
-                total += gather(sums[at], made.bsdf, balance(made.bsdf), made.bsdf.light - place.lights, sure)
-                total += gather(sums[at], made.nee, balance(made.nee), made.nee.light - place.lights, sure)
+                so_far = gather(sums[at], so_far, world, made.bsdf, place.lights, sure)
+                so_far = gather(sums[at], so_far, world, made.nee, place.lights, sure)
                 rays[at, 0] = rays[at, 0] + made.bsdf.rays
                 rays[at, 1] = rays[at, 1] + made.nee.rays
                 rays[at, 2] = rays[at, 2] + made.bsdf.marched + made.nee.marched
-            total = total / wp.float64(n)
+            total = so_far.rest / wp.float64(n)
+            missed = -so_far.missed / wp.float64(n)
             for j in range(place.lights_end - place.lights):
+                light = world.lights[place.lights + j]
+                exact = irradiance(light.centre, light.radius, s.position, s.normal)
                 sum = sums[at, j]
                 if sum[3] > _ZERO:
-                    light = world.lights[place.lights + j]
-                    exact = irradiance(light.centre, light.radius, s.position, s.normal)
                     total += (exact / sum[3]) * wp.vec3d(sum[0], sum[1], sum[2])
+                else:
+                    missed += exact * light.radiance
+            if so_far.sure > _ZERO:
+                share = so_far.visible / (so_far.sure * so_far.lambert)
+                total += share * wp.cw_mul(so_far.reflected, missed)
             mean[at] = wp.cw_mul(total, s.through)
 
     return fused

@@ -10,6 +10,7 @@ from nqr_geom import registry, render
 from nqr_geom.integrator.estimate import run
 from nqr_geom.render.direct_problem import LAYOUT, DirectProblem
 from nqr_geom.render.effects import ALL, shadows_possible
+from nqr_geom.render.kernels_direct import EXTRA
 from nqr_geom.streams import Stream
 from tests.scenes import EVERYTHING, floor, looking_down, open_floor, two_spheres
 
@@ -76,7 +77,7 @@ def test_features_are_the_22_of_table_5():
     for feature in DirectProblem.schema.features:
         assert seen.features[feature.name].shape == (64, 4, 2, feature.size)
         assert torch.isfinite(seen.features[feature.name]).all()
-    assert max(first + size for first, size in LAYOUT.values()) <= 24
+    assert max(first + size for first, size in LAYOUT.values()) == EXTRA
     length = seen.features["direction"].norm(dim=-1)
     on_surface = torch.from_numpy(problem.surfaces["kind"] >= 0)
     torch.testing.assert_close(length[on_surface][:, :, 0], torch.ones_like(length[on_surface][:, :, 0]))

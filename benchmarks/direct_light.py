@@ -1,0 +1,127 @@
+"""Direct light: errors of the classical and the structured methods in the layout of Tables 3 and 10.
+
+    python benchmarks/direct_light.py [--quick]
+
+Scenes of Fig. 39 that nothing was trained on, and scenes outside the family, at 16 passes a pixel. Errors are means of
+squares over pixels, channels and seeds against 4,096 passes of another seed; ratios are of means over all scenes, with
+a 95% interval by a bootstrap over scenes. PSNR and SSIM (scikit-image, not a dependency) where it is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from shapes import RESULTS, write
+
+from nqr_geom import registry
+from nqr_geom.integrator.bootstrap import Bootstrap
+from nqr_geom.integrator.estimate import run
+from nqr_geom.render.direct_problem import DirectProblem
+from nqr_geom.render.film import save_picture
+from nqr_geom.render.scene_gallery import gallery
+
+PASSES = 16
+METHODS = {
+    "MC random": ("random", "balance-heuristic"),
+    "Poly random": ("random", "direct-regression-1"),
+    "MC stratified": ("pmj", "balance-heuristic"),
+    "Poly stratified": ("pmj", "direct-regression-1"),
+    "structured": ("pmj", "direct-unhidden"),
+}
+# Means of Table 10, as multiples of random Monte Carlo's error taken from it.
+PAPER = {"MC random": 1.0, "Poly random": 0.34, "MC stratified": 4.1, "Poly stratified": 0.45}
+OUTSIDE = ("teaser", "white-room", "living-room", "staircase", "plates")
+
+
+def errors(problem: DirectProblem, seeds: int) -> dict[str, Any]:
+    """Squared errors (seeds, pixels, 3) and the last picture by method."""
+    from nqr_geom.integrator.rules import BalanceHeuristic
+    from nqr_geom.integrator.samplers import Pmj
+
+    truth = run(problem, Pmj(), BalanceHeuristic(), 256, replicates=16, seed=2**30).value
+    found: dict[str, Any] = {"truth": truth}
+    for name, (sampler, rule) in METHODS.items():
+        pair = registry.make("sampler", sampler), registry.make("rule", rule)
+        pictures = np.stack([run(problem, *pair, PASSES, seed=seed).value for seed in range(seeds)])
+        found[name] = (pictures - truth) ** 2
+        found[name, "picture"] = pictures[0]
+    return found
+
+
+def quality(picture: Any, truth: Any, size: int) -> dict[str, float]:
+    """PSNR and SSIM of pictures as they are shown."""
+    try:
+        from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+    except ModuleNotFoundError:
+        return {}
+    from nqr_geom.render.film import exposed
+
+    white = float(np.quantile(truth.max(axis=-1), 0.97)) or 1.0
+    a, b = (exposed(image.reshape(size, size, 3), white) for image in (picture, truth))
+    return {
+        "psnr": float(peak_signal_noise_ratio(b, a, data_range=1.0)),
+        "ssim": float(structural_similarity(b, a, data_range=1.0, channel_axis=2)),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer scenes and pixels; nothing is written")
+    quick = parser.parse_args().quick
+    count, size, seeds = (6, 12, 2) if quick else (24, 24, 4)
+    family = DirectProblem.family(count, seed=17, resolution=size)
+    inside = errors(family, seeds)
+    outside = {name: errors(DirectProblem.of(gallery(name, *(2 * [16 if quick else 48]))), 2) for name in OUTSIDE}
+    rows: list[dict[str, Any]] = []
+    bootstrap = Bootstrap.of(np.arange(count), 1, 17)
+    base = inside["MC random"].mean(axis=(0, 2)).reshape(count, -1).mean(axis=1)
+    for name in METHODS:
+        square = inside[name].mean(axis=(0, 2))
+        each = square.reshape(count, -1).mean(axis=1)
+        row = {
+            "method": name,
+            "n": PASSES,
+            "mse": float(square.mean()),
+            "ratio": float(base.mean() / each.mean()),
+            "ratio_interval": list(bootstrap.ratio(base[:, None], each[:, None]) or ()),
+            "median": float(np.median(square)),
+            "p99": float(np.quantile(square, 0.99)),
+            "paper_ratio": PAPER.get(name),
+            "scenes_no_worse_than_stratified": int(
+                (each <= 1.02 * inside["MC stratified"].mean(axis=(0, 2)).reshape(count, -1).mean(axis=1)).sum()
+            ),
+            "scenes": count,
+        }
+        for where, found in outside.items():
+            row[where] = float(found[name].mean())
+            row[f"{where}, x"] = float(found["MC random"].mean() / found[name].mean())
+            pixels = int(np.sqrt(len(found["truth"])))
+            for key, value in quality(found[name, "picture"], found["truth"], pixels).items():
+                row[f"{where}, {key}"] = value
+        rows.append(row)
+    table = Table("method", "MSE, test scenes", "x random", "95%", "paper", *OUTSIDE)
+    for row in rows:
+        table.add_row(
+            row["method"], f"{row['mse']:.3g}", f"{row['ratio']:.2f}",
+            "{:.2f} .. {:.2f}".format(*row["ratio_interval"]), str(row["paper_ratio"] or ""),
+            *(f"{row[f'{where}, x']:.2f}" for where in OUTSIDE),
+        )  # fmt: skip
+    Console().print(table)
+    if quick:
+        return
+    print(write("direct_light", rows, scenes=count, resolution=size, seeds=seeds, passes=PASSES))
+    strips = []
+    for found in outside.values():
+        pictures = [found[name, "picture"] for name in METHODS] + [found["truth"]]
+        row_of = np.concatenate([picture.reshape(48, 48, 3) for picture in pictures], axis=1)
+        strips.append(row_of / float(np.quantile(found["truth"].max(axis=1), 0.97)))
+    strip = np.concatenate(strips).repeat(3, axis=0).repeat(3, axis=1)
+    save_picture(RESULTS.parent.parent / "docs" / "direct-light-methods.png", strip, 1.0)
+
+
+if __name__ == "__main__":
+    main()
