@@ -2,8 +2,8 @@
 
 Between neighbouring closest points of a loop the arc length tells what the boundary does: as long as the chord, it is
 straight; as long as the way along both tangents, it has one corner, and where; longer, it hides, and a circular arc of
-that length stands for it on the outside. Values are linear along the arc; into a corner those of a straight run are
-continued where they have proved linear; in hidden parts they fall back to the mean of what was seen.
+that length stands for it, bent as the loop turns. Values are linear along the arc; into a corner those of a straight
+run are continued where they have proved linear; in hidden parts they fall back to the mean of what was seen.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ def _tangent(seen, chord, straight, i, j, at):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _bulge(parts, count, seen, i, j, arc, whole, mean, fade):  # type: ignore[no-untyped-def]
-    """A circular arc of the given length from sample i to sample j, on the right of the chord."""
+def _bulge(parts, count, seen, i, j, arc, side, whole, mean, fade):  # type: ignore[no-untyped-def]
+    """A circular arc of the given length from sample i to sample j, on the right of the chord (side 1) or the left."""
     x0, y0, g0 = seen[i, 1], seen[i, 2], seen[i, 3]
     x1, y1, g1 = seen[j, 1], seen[j, 2], seen[j, 3]
     dx, dy = x1 - x0, y1 - y0
@@ -111,14 +111,14 @@ def _bulge(parts, count, seen, i, j, arc, whole, mean, fade):  # type: ignore[no
     phi = _half_angle(arc / chord) if chord > 1e-9 * arc else math.pi
     if phi < math.pi:
         dx, dy = dx / chord, dy / chord
-    else:  # a loop seen in one place: a circle behind it
+    else:  # a loop seen in one place: a circle behind it if it is a hole, around the query if it is the outline
         ax, ay = seen[i, 4], seen[i, 5]
         if ax == 0.0 and ay == 0.0:
             ax, ay = x0, y0
         size = max(_length(ax, ay), 1e-300)
-        dx, dy = -ay / size, ax / size
+        dx, dy = ay / size, -ax / size
     radius = 0.5 * arc / phi
-    outx, outy = dy, -dx
+    outx, outy = side * dy, -side * dx
     # From the middle of the chord; an arc longer than its share of the circle keeps its length, not its ends.
     cx, cy = 0.5 * (x0 + x1) - radius * math.cos(phi) * outx, 0.5 * (y0 + y1) - radius * math.cos(phi) * outy
     pieces = min(max(2, math.ceil(2.0 * phi / _TURN)), 3 + int(_PIECES * arc / whole))
@@ -141,7 +141,7 @@ def _bulge(parts, count, seen, i, j, arc, whole, mean, fade):  # type: ignore[no
 
 
 @_kernel
-def _across(parts, count, seen, gap, chord, straight, low, n, i, j, whole, mean, fade):  # type: ignore[no-untyped-def]
+def _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, whole, mean, fade):  # type: ignore[no-untyped-def]
     """Parts from sample i to the next one, j, of the loop low .. low + n, where the boundary is not straight."""
     x0, y0, g0 = seen[i, 1], seen[i, 2], seen[i, 3]
     x1, y1, g1 = seen[j, 1], seen[j, 2], seen[j, 3]
@@ -167,7 +167,7 @@ def _across(parts, count, seen, gap, chord, straight, low, n, i, j, whole, mean,
             return _put(parts, count, x, y, g, x1, y1, g1, 0.0)
     if gap[i] <= _FLAT * chord[i] and n > 1:
         return _put(parts, count, x0, y0, g0, x1, y1, g1, 0.0)
-    return _bulge(parts, count, seen, i, j, gap[i], whole, mean, fade)
+    return _bulge(parts, count, seen, i, j, gap[i], side, whole, mean, fade)
 
 
 @_kernel
@@ -215,11 +215,12 @@ def parts_of(seen, loops, fade, gap, chord, straight, parts):  # type: ignore[no
     count = 0
     for loop in range(len(loops)):
         low, n = first[loop], first[loop + 1] - first[loop]
+        side = 1.0 if loop == 0 else -1.0  # the outline turns left on the whole, holes turn right
         for i in range(low, low + n):
             j = i + 1 if i + 1 < low + n else low
             if straight[i]:
                 a, b = seen[i], seen[j]
                 count = _put(parts, count, a[1], a[2], a[3], b[1], b[2], b[3], 0.0)
                 continue
-            count = _across(parts, count, seen, gap, chord, straight, low, n, i, j, loops[-1], mean, fade)
+            count = _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, loops[-1], mean, fade)
     return count

@@ -18,6 +18,7 @@ from nqr_geom.wos.panels import panels_of
 from nqr_geom.wos.problems import LaplaceProblem
 from nqr_geom.wos.rebuild import parts_of, room
 from nqr_geom.wos.structured import WalkFit
+from tests.hard_cases.test_laplace_cases import CASES
 
 SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
 
@@ -167,6 +168,18 @@ def test_better_than_latin_hypercube_far_from_the_family(name):
     mse = [np.mean((got.value[:, 0] - wave(points)) ** 2) for got in (plain, fit)]
     assert mse[1] < 0.5 * mse[0]
     assert fit.counts == plain.counts
+
+
+@pytest.mark.parametrize("name", ["annulus", "annulus, hole turned", "re-entrant corner", "argument", "channel"])
+def test_better_than_latin_hypercube_on_hard_cases(name):
+    """Holes are closed behind what was seen of them, channels and corners keep their shape."""
+    polygon, boundary, points, expected, _ = CASES[name]
+    truth = boundary(np.asarray(points)) if expected is None else np.broadcast_to(expected, len(points))
+    mse = {}
+    for method in ("wos-lhs", "structured"):
+        found = [ng.solve_laplace(polygon, boundary, points, method=method, seed=k) - truth for k in range(12)]
+        mse[method] = np.mean(np.square(found))
+    assert mse["structured"] < 0.25 * mse["wos-lhs"]
 
 
 def test_one_closest_point_is_not_enough_and_says_so():
