@@ -13,11 +13,12 @@ from nqr_geom.problems import toy
 from nqr_geom.render.scene_families import scenes
 from nqr_geom.render.volume_families import donut, volumes
 from nqr_geom.wos.families import polygons
+from nqr_geom.wos.outlines import outlines
 
 if TYPE_CHECKING:
     from nqr_geom.render.clouds import Extrusion
 
-__all__ = ["curves", "donut", "letters", "polygons", "scenes", "toy", "volumes"]
+__all__ = ["curves", "donut", "letters", "outlines", "polygons", "scenes", "toy", "volumes"]
 
 
 def letters(text: str = "NQR", seed: int = 0, resolution: int = 193) -> Extrusion:
