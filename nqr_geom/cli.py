@@ -180,12 +180,12 @@ def laplace(
     values: Annotated[
         str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
     ] = "waves",
-    method: Annotated[str, Parameter(help="auto, wos, wos-lhs, boundary or fem.")] = "auto",
+    method: Annotated[str, Parameter(help="auto, wos, wos-lhs, wos-rqmc, structured, inet, boundary or fem.")] = "auto",
     tol: Annotated[
         float, Parameter(help="Absolute error to aim for; the boundary solver goes to 1e-6 of the spread.")
     ] = 1e-3,
     samples: Annotated[
-        int | None, Parameter(name=["--samples", "-n"], help="Walks per query instead of tol (wos, wos-lhs).")
+        int | None, Parameter(name=["--samples", "-n"], help="Walks per query instead of tol (all but boundary, fem).")
     ] = None,
     text: Text = False,
     resolution: Resolution = 256,
@@ -222,18 +222,33 @@ def p_laplace(
     values: Annotated[
         str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
     ] = "waves",
-    tol: Annotated[float | None, Parameter(help="Refine until the estimated error is at most this.")] = None,
+    method: Annotated[str, Parameter(help="fem, or inet: a network on walks, for p = 3.")] = "fem",
+    tol: Annotated[float | None, Parameter(help="Refine until the estimated error is at most this (fem).")] = None,
+    samples: Annotated[int, Parameter(name=["--samples", "-n"], help="Walks per query (inet).")] = 32,
     text: Text = False,
     resolution: Resolution = 256,
+    seed: Seed = 0,
     out: Out = Path("p-laplace.png"),
 ) -> None:
     """Draw the p-harmonic function inside a closed outline."""
-    from nqr_geom.p_harmonic import p_harmonic
+    from nqr_geom.p_harmonic import METHODS, p_harmonic
 
+    check.choice("method", method, METHODS)
     curve, polygon = _read_outline(source, text, out)
-    solution = p_harmonic(polygon, _values(values, curve.bounds), p, tol=tol)
-    name = f"p-harmonic, p = {p:g}"
-    _field(curve, lambda points, _: solution(points, outside="nan"), out, resolution, name, signed=False)
+    boundary = _values(values, curve.bounds)
+    if method == "fem":  # solved once for all bands of the picture
+        solution = p_harmonic(polygon, boundary, p, tol=tol)
+
+        def answer(points: Any, seed: int) -> Any:
+            return solution(points, outside="nan")
+    else:
+
+        def answer(points: Any, seed: int) -> Any:
+            return ng.solve_p_laplace(
+                polygon, boundary, points, p, method=method, n=samples, tol=tol, outside="nan", seed=seed
+            )
+
+    _field(curve, answer, out, resolution, f"p-harmonic, p = {p:g}", signed=False, seed=seed)
 
 
 def _on_grid(problem: str, curve: Curve, resolution: int) -> tuple[Any, list[int]]:

@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["METHODS", "p_harmonic", "solve_p_laplace"]
 
-METHODS = ("fem",)
+METHODS = ("fem", "inet")
 
 _TRIANGLES = 8000
+_LEARNED_P = 3.0
+_LEARNED = ("latin-hypercube", "inet-p-laplace")
 
 
 def solve_p_laplace(
@@ -48,13 +50,14 @@ def solve_p_laplace(
         Queries, finite.
     p : float
         Greater than 1; p = 2 is Laplace's equation.
-    method : {"fem"}
-        Finite elements with Newton's method and continuation in p.
+    method : {"fem", "inet"}
+        "fem": finite elements with Newton's method and continuation in p. "inet": `n` walks on spheres of at most 12
+        steps from every point, weighed by a network that is trained for p = 3 on answers of finite elements; no mesh.
     n : int
-        Walks a query of methods that walk; finite elements need none.
+        Walks a query of methods that walk; finite elements need none. The network is trained on 32.
     tol : float, optional
         Refine until the estimated absolute error at the points is at most this. By default about 8000 triangles are
-        used, and ``plan["error"]`` of the full output says how good that is.
+        used, and ``plan["error"]`` of the full output says how good that is. Not for "inet".
     outside : {"raise", "nan"}
         What to do with points outside the polygon.
     seed : int
@@ -86,8 +89,10 @@ def solve_p_laplace(
     """
     check.choice("method", method, METHODS)
     check.choice("outside", outside, ["raise", "nan"])
-    check.integer("n", n, low=1)
-    check.integer("seed", seed)
+    n, seed = check.integer("n", n, low=1), check.integer("seed", seed)
+    if method == "inet":
+        estimate = _by_network(polygon, boundary, points, p, n, tol, outside, seed)
+        return estimate if full_output else estimate.value[:, 0]
     places = check.array("points", points, ("m", 2))
     told: dict[str, Any] = {}
 
@@ -106,6 +111,32 @@ def solve_p_laplace(
     estimate = exactly(answer, "p-laplace")
     plan = {**estimate.plan, "rule": "fem", "method": method, "p": float(p), "tol": tol, **told}
     return replace(estimate, stderr=None, stages={"all": estimate.seconds}, plan=plan)
+
+
+def _by_network(
+    polygon: Any,
+    boundary: BoundaryValues,
+    points: ArrayLike,
+    p: float,
+    n: int,
+    tol: float | None,
+    outside: str,
+    seed: int,
+) -> Estimate:
+    """Walks from the points inside, weighed by the network for p = 3; NaN outside."""
+    from nqr_geom.pde import by_rule, inside_of, scattered
+    from nqr_geom.wos.domain import Domain
+
+    if check.number("p", p, low=1.0, open_low=True) != _LEARNED_P:
+        raise ValueError(f"p: expected {_LEARNED_P:g} with method 'inet', which is trained for it, got {p!r}")
+    if tol is not None:
+        raise ValueError(f"tol: expected None with method 'inet', whose error is the network's, got {tol!r}")
+    domain = Domain.of(polygon)
+    framed, inside = inside_of(domain, points, outside)
+    walks: dict[str, Any] = {"n": n, "max_steps": 12, "epsilon": 1e-3, "seed": seed}
+    found = by_rule(domain.boundary(boundary), framed, inside, *_LEARNED, **walks)
+    plan = {**found.plan, "problem": "p-laplace", "method": "inet", "p": _LEARNED_P}
+    return scattered(replace(found, plan=plan), inside)
 
 
 def p_harmonic(

@@ -22,6 +22,7 @@ from nqr_geom.integrator.learn.steps import Walks
 from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
+from nqr_geom.p_training import P_TOKENS, p_laplace_batch
 from nqr_geom.toy.gaps import ToyGaps
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
 from nqr_geom.wos.tokens import WALK_TOKENS
@@ -148,6 +149,26 @@ RECIPES: dict[str, Recipe] = {
             designs=("random", "latin-hypercube"),
             largest=128,
         ),
+        Recipe(
+            name="p-laplace",
+            problem="p-laplace",
+            family=p_laplace_batch,
+            base="inet-laplace-uniform",  # the answer for p = 2
+            consistent="inet-laplace-uniform",
+            config=INetConfig(
+                replace(_WALK, extra=P_TOKENS.size),
+                layers=2,
+                heads=4,
+                expansion=2,
+                weights="additive",
+                unit_mass=True,
+                beside=_WALK.dim,
+            ),
+            sees=_WALK_SEES,
+            extra=P_TOKENS,
+            designs=("random", "latin-hypercube"),
+            largest=128,
+        ),
     )
 }
 
@@ -195,7 +216,7 @@ JOINT: dict[str, JointRecipe] = {
 
 def folder(problem: str) -> Path:
     """Where the models of a problem lie."""
-    rooms = {"toy": "toy", "gwn": "curves", "sd": "curves", "laplace": "wos"}
+    rooms = {"toy": "toy", "gwn": "curves", "sd": "curves", "laplace": "wos", "p-laplace": "wos"}
     room = rooms[check.choice("problem", problem, list(rooms))]
     return Path(__file__).parent / room / "models"
 

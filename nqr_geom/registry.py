@@ -79,6 +79,7 @@ _MODELS = (
     ("gwn-student-uniform", "gwn", "small network that corrects plain weights on curves, compiled"),
     ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
+    ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
 )
 _WALKS = ("laplace",)  # problems whose samples are walks, a coordinate a step
 

@@ -21,6 +21,7 @@ def test_no_example_is_left_out() -> None:
         "gwn_of_svg",
         "light_through_a_cloud",
         "p_laplace_values",
+        "p_three_from_walks",
         "room_by_four_methods",
         "sd_of_text",
         "toy_frontier",
@@ -50,6 +51,13 @@ def test_toy_rules(tmp_path: Path) -> None:
 def test_toy_frontier(tmp_path: Path) -> None:
     assert import_module("examples.toy_frontier").main(tmp_path, integrands=200, runs=2) > 4000.0
     assert (tmp_path / "toy_frontier.png").stat().st_size > 10_000
+
+
+def test_p_three_from_walks(tmp_path: Path) -> None:
+    by_two, by_walks = import_module("examples.p_three_from_walks").main(tmp_path, resolution=40)
+    assert by_two == pytest.approx(1.6e-4, rel=0.3)
+    assert by_walks < 0.4 * by_two
+    assert (tmp_path / "p_three_from_walks.png").stat().st_size > 10_000
 
 
 def test_p_laplace_values(tmp_path: Path) -> None:
