@@ -38,7 +38,8 @@ def kept(name: str, key: NDArray[Any], compute: Callable[[], Arrays]) -> Arrays:
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         aside = path.with_suffix(f".{os.getpid()}.npz")
-        np.savez(aside, **compute())
+        arrays: dict[str, Any] = dict(compute())
+        np.savez(aside, **arrays)
         os.replace(aside, path)
     with np.load(path) as data:
         return dict(data)
