@@ -12,6 +12,8 @@ What is measured on networks that ship goes into their cards.
 from __future__ import annotations
 
 import argparse
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from shapes import write
 from nqr_geom import check
 from nqr_geom.integrator.problem import Problem
 
+KEPT = Path(__file__).parent / "results" / "learned.json"
 STRIDE = 8
 NEAREST = 1e-3
 # Ratios that the paper reports for its networks (Tables 1, 2 and 11).
@@ -59,12 +62,14 @@ def toy(integrands: int) -> Problem:
 def write_cards(rows: list[dict[str, Any]]) -> None:
     """Put what was measured on the networks into their cards."""
     from nqr_geom.integrator.learn.zoo import Card, write_card
-    from nqr_geom.recipes import RECIPES, folder
+    from nqr_geom.recipes import JOINT, RECIPES, folder, rule_of
 
     kept = ("mse", "median", "p99", "ratio", "ratio_interval", "base", "gain", "gain_interval", "fallback")
     for row in rows:
         name = row["rule"].removeprefix("inet-")
-        if name in RECIPES and row["rule"] != name and row["problem"] == RECIPES[name].problem:
+        if name not in (*RECIPES, *JOINT) or row["rule"] == name or row["problem"] != rule_of(name).problem:
+            continue
+        if row["design"].startswith("snet-") == (name in JOINT):  # a network is at home on what it was trained on
             card = Card.from_json((folder(row["problem"]) / f"{name}.json").read_text())
             card.table[row["design"]] = {key: row[key] for key in kept if key in row}
             write_card(folder(row["problem"]), card)
@@ -88,6 +93,8 @@ def main() -> None:
         rows += part
     if not arguments.quick:
         write_cards(rows)
+        others = json.loads(KEPT.read_text())["rows"] if KEPT.exists() else []
+        rows += [row for row in others if row["problem"] not in arguments.problems]
         write("learned", rows, n=N, seed=SEED, stride=STRIDE, nearest=NEAREST)
 
 

@@ -115,11 +115,11 @@ def gwn(
         Query points, finite.
     method : str
         "exact" (default), "auto" (exact where the pieces are known, else "structured"), "mc", "stratified",
-        "trapezoid", "structured", "inet" (a trained network), "student" (a small one in compiled code), or any
-        "sampler+rule" of `samplers()` and `rules()`.
+        "trapezoid", "structured", "inet" (a trained network), "nqr" (a network places the samples, another weighs
+        them), "student" (a small network in compiled code), or any "sampler+rule" of `samplers()` and `rules()`.
         All but "exact" see the curve through point queries only and need the extra "learn".
     n : int
-        Samples per query of a sampled method; for "inet" and "student" per query and six pieces.
+        Samples per query of a sampled method; for trained ones per query and six pieces.
     tol : float, optional
         Absolute error to reach: a sampled method doubles n until repetitions agree that well.
     seed : int

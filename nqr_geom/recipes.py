@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from nqr_geom import check, registry
-from nqr_geom.curves.gaps import CurveGaps
+from nqr_geom.curves.gaps import CurveGaps, SdGaps
 from nqr_geom.curves.stencil import CURVE_STENCIL, STENCIL_TOKENS
 from nqr_geom.curves.tokens import CURVE_TOKENS
 from nqr_geom.curves.tokens_sd import SD_TOKENS
@@ -28,7 +28,7 @@ from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
 from nqr_geom.wos.tokens import WALK_TOKENS
 from nqr_geom.wos.training import laplace_batch
 
-__all__ = ["JOINT", "RECIPES", "folder", "model", "named", "sampler"]
+__all__ = ["JOINT", "RECIPES", "folder", "model", "named", "rule_of", "sampler"]
 
 _TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=TOY_TOKENS.size, centred=True)
 _CURVE = TokenConfig(
@@ -39,11 +39,10 @@ _CURVE = TokenConfig(
 
 # The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
 _SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
-
 _WALK = TokenConfig(dim=12, frequencies=0, extra=WALK_TOKENS.size, blind=True)
-_WALK_SEES = ("steps", "length", "finished", "end", "loops")
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
+_WALK_SEES = ("steps", "length", "finished", "end", "loops")
 _SIZES = ((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05))
 
 RECIPES: dict[str, Recipe] = {
@@ -210,6 +209,13 @@ JOINT: dict[str, JointRecipe] = {
             CurveGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
+        _pair(
+            "sd-nqr",
+            "sd-uniform",
+            SNetConfig(_CURVE_SAMPLE, sharpness=2.0, profile=_MIDDLE),
+            SdGaps,
+            *((32, 0.8), (16, 0.1), (64, 0.1)),
+        ),
     )
 }
 
@@ -235,9 +241,8 @@ def model(name: str) -> Model:
     ValueError
         If there is no such recipe or model, or its card and weights do not belong together.
     """
-    recipe = named(name)
-    rule = recipe.rule if isinstance(recipe, JointRecipe) else recipe
-    return load(folder(rule.problem), rule)
+    recipe = rule_of(name)
+    return load(folder(recipe.problem), recipe)
 
 
 @lru_cache(maxsize=8)
@@ -263,3 +268,9 @@ def named(name: str) -> Recipe | JointRecipe:
     name = registry.ALIASES.get(f"{name}:inet", name).rpartition("+inet-")[2]
     check.choice("name", name, sorted([*RECIPES, *JOINT]))
     return RECIPES[name] if name in RECIPES else JOINT[name]
+
+
+def rule_of(name: str) -> Recipe:
+    """The recipe of an integrator, alone or of a pair."""
+    recipe = named(name)
+    return recipe.rule if isinstance(recipe, JointRecipe) else recipe

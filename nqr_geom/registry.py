@@ -81,6 +81,8 @@ _MODELS = (
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
 )
+# Pairs that were trained together: also the sampler "snet-" + name and the rule "inet-" + name.
+_PAIRS = (("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),)
 _WALKS = ("laplace",)  # problems whose samples are walks, a coordinate a step
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
@@ -130,6 +132,18 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             dims="1",
             needs="transmittance",
             adaptive=True,
+        ),
+        *(
+            Entry(
+                f"snet-{name}",
+                _RECIPES + "sampler",
+                summary,
+                {"name": name},
+                dims="1",
+                needs=problem,
+                adaptive=True,
+            )
+            for name, problem, summary in _PAIRS
         ),
     ),
     "rule": (
@@ -271,7 +285,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
                 needs=problem,
                 pieces=6 if problem in ("gwn", "sd") else 0,
             )
-            for name, problem, summary in _MODELS
+            for name, problem, summary in _MODELS + _PAIRS
         ),
     ),
     "problem": (
@@ -292,7 +306,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             dims="any" if problem in _WALKS else "1",
             needs=problem,
         )
-        for name, problem, summary in _MODELS
+        for name, problem, summary in _MODELS + _PAIRS
     ),
 }
 
@@ -310,7 +324,6 @@ ALIASES: dict[str, str] = {
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",
-    "laplace:wos-lhs": "latin-hypercube+mc",
     "laplace:structured": "latin-hypercube+walk-fit",
     "laplace:wos-rqmc": "array-rqmc+mc",
     "laplace:wos-lhs": "latin-hypercube+mc",
@@ -318,6 +331,7 @@ ALIASES: dict[str, str] = {
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "gwn:student": "stratified+inet-gwn-student",
+    "gwn:nqr": "snet-gwn-nqr+inet-gwn-nqr",
     "sd:inet": "stratified+inet-sd-uniform",
     "mc": "random+mc",
     "stratified": "stratified+mc",
