@@ -16,6 +16,7 @@ import layouts
 import layouts_sd
 import layouts_direct
 import layouts_render
+from layouts_time import learned_time
 from page import Row, interval, markdown, short, span
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -171,6 +172,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("exact_distance", "Closest points against libigl's", exact),
     ("gwn_methods", "Curves from point queries only: shapes of Fig. 38, Lissajous and Fourier curves", methods),
     ("gwn_time", "What a winding number costs in time", times),
+    ("learned_time", "Table 18: what learned winding numbers cost in time", learned_time),
     ("toy_methods", "The toy family of Fig. 37", methods),
     ("learned", "Networks beside their base rules, on held-out integrals", learned),
     ("toy_tables", "Tables 1, 2, 7 and 9: the toy family, 32 samples", layouts.toy_tables),
