@@ -167,6 +167,41 @@ def walks(rows: list[Row]) -> str:
     )
 
 
+def images(rows: list[Row]) -> str:
+    """Milliseconds an image: methods and walks down, sizes of the image across (Table 19)."""
+    sizes = sorted({row["resolution"] for row in rows})
+    taken = {(row["method"], row["n"], row["resolution"]): short(row["milliseconds"]) for row in rows}
+    return markdown(
+        ["method", "walks", *(f"{size} x {size}, ms" for size in sizes), "us a query", "times Monte Carlo's time"],
+        [
+            [
+                row["method"],
+                row["n"],
+                *(taken[row["method"], row["n"], size] for size in sizes),
+                short(row["us_per_query"]),
+                short(row["times_mc"]),
+            ]
+            for row in rows
+            if row["resolution"] == sizes[-1]
+        ],
+    )
+
+
+def nonlinear(rows: list[Row]) -> str:
+    """How much better than the exact solution for p = 2, which is what walks can give without a network."""
+    return markdown(
+        ["p = 3: polygons", "samples", "rule", "mean squared error", "median", "99%", "x exact p = 2", "95%"],
+        [
+            [
+                *(row[key] for key in ("polygons", "design", "rule")),
+                *(short(row[key]) for key in ("mse", "median", "p99", "ratio")),
+                interval(row),
+            ]
+            for row in rows
+        ],
+    )
+
+
 SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("exact_gwn", "Exact winding numbers against libigl's, same run, all cores", exact),
     ("exact_distance", "Closest points against libigl's", exact),
@@ -190,6 +225,9 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("boundary_solver", "Laplace's equation by the boundary solver", boundary),
     ("wos_methods", "Walks on spheres: rules and samplers on Fig. 41's polygons and far from them", walk_methods),
     ("wos_baselines", "Walks on spheres on the polygons of Fig. 41", walks),
+    ("learned_walks", "Networks over walks: Table 14's rows on held-out polygons, and Fig. 33's domains", learned),
+    ("walks_time", "Table 19: what weighing walks costs, an image of queries in one polygon", images),
+    ("p_walks", "Fig. 50: p = 3 from walks", nonlinear),
     ("fem_orders", "p-Laplacian by finite elements", orders),
     ("toy_calibration", "How close the toy family is to the paper's", calibration),
     ("transmittance", "Table 12: transmittance of clouds, a donut and letters", layouts_render.transmittance),
