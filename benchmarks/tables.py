@@ -13,9 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import layouts
-import layouts_sd
 import layouts_direct
 import layouts_render
+import layouts_sd
 from layouts_time import learned_time
 from page import Row, interval, markdown, short, span
 
@@ -143,7 +143,16 @@ def orders(rows: list[Row]) -> str:
 
 def walk_methods(rows: list[Row]) -> str:
     return markdown(
-        ["32 walks of 12 steps", "mean squared error", "x Monte Carlo", "95%", "median", "99%", "us a query", "x its time"],
+        [
+            "32 walks of 12 steps",
+            "mean squared error",
+            "x Monte Carlo",
+            "95%",
+            "median",
+            "99%",
+            "us a query",
+            "x its time",
+        ],
         [
             [
                 f"{r['problem']}: {r['method']}",
