@@ -55,9 +55,9 @@ def direct(
     --------
     >>> from nqr_geom import render
     >>> floor = render.Quad([-1, -1, 0], [2, 0, 0], [0, 2, 0], render.Diffuse(0.5))
-    >>> camera = render.Camera([0, -0.01, 3], [0, 0, 0], fov=1.0, width=1, height=1)
+    >>> camera = render.Camera([0, -3, 1], [0, 0, 0], width=1, height=1)
     >>> scene = render.Scene(camera, [floor], [render.SphereLight([0, 0, 2], 0.5, 10.0)])
-    >>> render.direct(scene, method="structured")[0, 0, 0].round(4)  # albedo times radiance times (radius/distance)^2
+    >>> round(float(render.direct(scene, method="structured")[0, 0, 0]), 9)  # albedo, radiance, (radius / distance)^2
     0.3125
     """
     if not isinstance(scene, Scene):
