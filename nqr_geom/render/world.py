@@ -83,7 +83,9 @@ def assemble(scenes: Sequence[Scene]) -> Assembled:
         meshes.append(_mesh(scene))
         ball = _empty(kernels_direct.Ball, len(scene.spheres))
         light = _empty(kernels_light.Light, len(scene.lights))
-        node = _empty(kernels_light.Node, max(0, 2 * len(light) - 1))
+        # Without lights there is one leaf that holds none: a walk down the tree must find its end.
+        node = _empty(kernels_light.Node, max(1, 2 * len(light) - 1))
+        node["child"] = node["parent"] = node["light"] = -1
         for one, sphere in zip(ball, scene.spheres, strict=True):
             one["centre"], one["radius"] = scene.frame(sphere.center), sphere.radius / scene.frame.scale
         for one, source in zip(light, scene.lights, strict=True):
