@@ -11,7 +11,6 @@ from scipy import stats
 
 from nqr_geom import registry
 from nqr_geom.integrator.problem import Problem
-from nqr_geom.integrator.samplers import FixedDesign
 from nqr_geom.streams import Stream
 from tests.integrands import TwoTechniques, smooth, step
 
@@ -20,7 +19,7 @@ ROWS = 4000
 UNIFORM = [
     entry.name
     for entry in registry.entries("sampler")
-    if issubclass(entry.load(), FixedDesign) and entry.load().uniform
+    if not entry.adaptive and getattr(entry.load(), "uniform", False)
 ]
 SIZES = (1, 4, 11)
 TESTS = len(UNIFORM) * len(SIZES) * 6
