@@ -121,6 +121,15 @@ def toy_ablation(rows: list[Row]) -> str:
     return _pictures([("toy-ablation.png", "weights against values, with and without information")]) + table
 
 
+def joint_training(rows: list[Row]) -> str:
+    """Begun from nothing or on a base sampler, by gaps or by a grid; frozen samplers show the integrator's own part."""
+    table = markdown(
+        ["the sampler", "mean squared error early", "at the end", "x Monte Carlo"],
+        [[row["variant"], short(row["first"]), short(row["mse"]), short(row["ratio"])] for row in rows],
+    )
+    return _pictures([("joint-training.png", "error against iterations of joint training")]) + table
+
+
 def toy_convergence(rows: list[Row]) -> str:
     """Figs. 9 and 15: the mean over held-out integrands, by number of samples."""
     mine = [row for row in rows if row["problem"] == "held out"]

@@ -224,6 +224,11 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("toy_ablation", "Figs. 8 and 10: weights or values, and x and f alone", layouts.toy_ablation),
     ("toy_convergence", "Figs. 9 and 15: from 1 to 64 samples", layouts.toy_convergence),
     ("toy_strategy", "Fig. 16: where adaptive samples go", layouts.toy_strategy),
+    (
+        "joint_training",
+        "How a sampling network is best begun: joint training on the toy family",
+        layouts.joint_training,
+    ),
     ("gwn_tables", "Table 11: winding numbers on six held-out shapes, 32 samples", layouts.gwn_tables),
     ("gwn_outside", "Fig. 25: shapes outside the family, 32 samples for every six pieces", layouts.gwn_outside),
     ("gwn_strategy", "Fig. 26: weights on the curve", layouts.gwn_strategy),

@@ -472,7 +472,8 @@ def train(
 def list_(kind: Annotated[str, Parameter(help="sampler, rule, problem or model.")] = "rule") -> None:
     """List what there is: samplers, rules, problems or models."""
     table = Table()
-    for column in ("name", "what it does", "exact on", "dimensions"):
+    table.add_column("name", no_wrap=True)
+    for column in ("what it does", "exact on", "dimensions"):
         table.add_column(column)
     for entry in registry.entries(kind):
         table.add_row(entry.name, entry.summary, entry.exact if kind == "rule" else "", entry.dims)

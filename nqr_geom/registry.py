@@ -82,7 +82,11 @@ _MODELS = (
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
 )
 # Pairs that were trained together: also the sampler "snet-" + name and the rule "inet-" + name.
-_PAIRS = (("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),)
+_PAIRS = (
+    ("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),
+    ("sd-nqr", "sd", "samples placed by a network for smoothed distances, and the network that weighs them"),
+    ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
+)
 _WALKS = ("laplace",)  # problems whose samples are walks, a coordinate a step
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
@@ -332,6 +336,8 @@ ALIASES: dict[str, str] = {
     "gwn:inet": "stratified+inet-gwn-structured",
     "gwn:student": "stratified+inet-gwn-student",
     "gwn:nqr": "snet-gwn-nqr+inet-gwn-nqr",
+    "sd:nqr": "snet-sd-nqr+inet-sd-nqr",
+    "toy:nqr": "snet-toy-nqr-uniform+inet-toy-nqr-uniform",
     "sd:inet": "stratified+inet-sd-uniform",
     "mc": "random+mc",
     "stratified": "stratified+mc",

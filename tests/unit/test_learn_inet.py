@@ -143,7 +143,9 @@ def test_checked_quantities_alone_are_those_of_the_tokens(name: str) -> None:
     assert extra is not None
     assert extra.check is not None
     alone = extra.check(sort_samples(samples)[0])
-    np.testing.assert_array_equal(alone, extra.compute(sort_samples(samples)[0])[..., list(extra.checked)])
+    tokens = extra.compute(sort_samples(samples)[0])[..., list(extra.checked)]
+    # Some tokens are rounded to single precision on the way, which is nothing beside the margin of a card's range.
+    np.testing.assert_allclose(alone, tokens, rtol=1e-5, atol=1e-7)
 
 
 def test_the_network_always_sees_tiles_of_one_size(monkeypatch: pytest.MonkeyPatch) -> None:

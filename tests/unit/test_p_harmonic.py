@@ -49,7 +49,10 @@ def test_points_outside_are_nan_where_asked() -> None:
 
 
 BAD = {
-    "method": (lambda: ng.solve_p_laplace(SQUARE, angle, INNER, method="magic"), "method: expected one of fem, got"),
+    "method": (
+        lambda: ng.solve_p_laplace(SQUARE, angle, INNER, method="magic"),
+        "method: expected one of fem, inet, got",
+    ),
     "p": (lambda: ng.solve_p_laplace(SQUARE, angle, INNER, 1), "p: expected a number > 1"),
     "outside": (lambda: ng.solve_p_laplace(SQUARE, angle, [[0.5, 0.5], [2, 2]]), "inside the polygon.*at row 1"),
     "points": (lambda: ng.solve_p_laplace(SQUARE, angle, [[np.nan, 0]]), "points: expected finite"),
