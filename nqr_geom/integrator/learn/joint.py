@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,24 @@ from torch import Tensor
 
 from nqr_geom import check, registry
 from nqr_geom.integrator.learn.gaps import Gaps
-from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule
+from nqr_geom.integrator.learn.inet import INet, LearnedRule
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetConfig
 from nqr_geom.integrator.learn.steps import Walks
 from nqr_geom.integrator.learn.tokens import sort_samples
-from nqr_geom.integrator.learn.train import Progress, draw_batch, launch, residuals, robust
+from nqr_geom.integrator.learn.train import (
+    Progress,
+    TrainConfig,
+    draw_batch,
+    identity,
+    launch,
+    refuse_other_run,
+    residuals,
+    robust,
+    to_json,
+)
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.streams import Stream
 
@@ -67,42 +76,30 @@ class JointRecipe:
 
 
 @dataclass(frozen=True)
-class JointConfig:
+class JointConfig(TrainConfig):
     """How long and how fast; what is not said here is as in `TrainConfig`.
 
     Parameters
     ----------
-    iterations : int
-        Of the whole run.
     batch, group : int
         Integrals an iteration (over all devices) and sequences for each.
     rate, sampler_rate : float
         Highest learning rates of the integrator and of the sampler.
     """
 
-    iterations: int
     batch: int = 32
     group: int = 8
     rate: float = 5e-4
     sampler_rate: float = 5e-4
     warmup: int = 200
-    decay: int = 0
-    clip: float = 1.0
     average: float = 0.998
-    weight_decay: float = 0.01
     every: int = 250
     validation: int = 1024
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("iterations", "batch", "every", "validation"):
-            check.integer(name, getattr(self, name), low=1)
+        super().__post_init__()
         check.integer("group", self.group, low=2)
-        for name in ("warmup", "decay"):
-            check.integer(name, getattr(self, name), low=0)
-        for name in ("rate", "sampler_rate"):
-            check.number(name, getattr(self, name), low=0.0, open_low=True)
-        check.number("average", self.average, low=0.0, high=1.0)
+        check.number("sampler_rate", self.sampler_rate, low=0.0, open_low=True)
 
 
 def advantages(error: Tensor) -> Tensor:
@@ -194,7 +191,7 @@ def train_jointly(
     state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
     start, seconds = 0, 0.0
     if state is not None:
-        _refuse_other_run(state, recipe, config)
+        refuse_other_run(state, _identity(recipe, config))
         integrator.restore(state)
         sampler.restore(state["sampler"])
         start, seconds = state["iteration"], state["seconds"]
@@ -225,7 +222,7 @@ def train_jointly(
                 run.log((done, seconds, rate, mean, validate(recipe, sampler.average, rule, config), base))
                 run.save(
                     {
-                        "identity": _identity(recipe, config),
+                        "identity": to_json(_identity(recipe, config)),
                         "train": json.dumps(asdict(config)),
                         "iteration": done,
                         "seconds": seconds,
@@ -250,18 +247,6 @@ def _adopt(net: INet, run: RunFolder, name: str) -> None:
     net.load_state_dict(state["average"])
 
 
-def _identity(recipe: JointRecipe, config: JointConfig) -> str:
-    """What must not change when a run is continued, as JSON."""
-    identity = {"recipe": recipe.name, "batch": config.batch, "group": config.group, "seed": config.seed}
-    return json.dumps({**identity, "config": recipe.rule.config.to_dict(), "sampler": recipe.sampler.to_dict()})
-
-
-def _refuse_other_run(state: dict[str, Any], recipe: JointRecipe, config: JointConfig) -> None:
-    """Raise unless the checkpoint belongs to this recipe, batch, group and seed."""
-    found, wanted = json.loads(state["identity"]), json.loads(_identity(recipe, config))
-    # Configurations are compared as such, so that a run goes on when a field with a default is added.
-    read: dict[str, Callable[[Any], Any]] = {"config": INetConfig.from_dict, "sampler": SNetConfig.from_dict}
-    for name, want in wanted.items():
-        have, of = found[name], read.get(name, str)
-        if of(have) != of(want):
-            raise ValueError(f"out: expected a run with {name} {want}, found one with {have}")
+def _identity(recipe: JointRecipe, config: JointConfig) -> dict[str, Any]:
+    """What must not change when a run is continued."""
+    return {**identity(recipe.rule, config), "group": config.group, "sampler": recipe.sampler}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.integrator.learn.inet import INet, INetConfig, correct
+from nqr_geom.integrator.learn.inet import INet, correct
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
@@ -214,7 +214,7 @@ def train(
     state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
     start, seconds = 0, 0.0
     if state is not None:
-        _refuse_other_run(state, recipe, config)
+        refuse_other_run(state, identity(recipe, config))
         learner.restore(state)
         start, seconds = state["iteration"], state["seconds"]
     learner.begin()
@@ -237,7 +237,7 @@ def train(
                 run.log((done, seconds, learning_rate(config, iteration), mean, *measured))
                 run.save(
                     {
-                        "identity": _identity(recipe, config),
+                        "identity": to_json(identity(recipe, config)),
                         "train": json.dumps(asdict(config)),
                         "iteration": done,
                         "seconds": seconds,
@@ -277,20 +277,23 @@ def _adopt(net: INet, checkpoint: Path) -> None:
     net.load_state_dict({name: weights[name] for name in own}, strict=False)
 
 
-def _identity(recipe: Recipe, config: TrainConfig) -> str:
-    """What must not change when a run is continued, as JSON."""
-    identity = {"recipe": recipe.name, "batch": config.batch, "seed": config.seed}
-    return json.dumps({**identity, "config": recipe.config.to_dict()})
+def identity(recipe: Recipe, config: TrainConfig) -> dict[str, Any]:
+    """What must not change when a run is continued."""
+    return {"recipe": recipe.name, "batch": config.batch, "seed": config.seed, "config": recipe.config}
 
 
-def _refuse_other_run(state: dict[str, Any], recipe: Recipe, config: TrainConfig) -> None:
-    """Raise unless the checkpoint belongs to this recipe, batch and seed."""
-    found, wanted = json.loads(state["identity"]), json.loads(_identity(recipe, config))
+def to_json(identity: Mapping[str, Any]) -> str:
+    """An identity as a checkpoint keeps it; configurations become plain data."""
+    return json.dumps({k: v.to_dict() if hasattr(v, "to_dict") else v for k, v in identity.items()})
+
+
+def refuse_other_run(state: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Raise unless the checkpoint has the wanted identity."""
+    found = json.loads(state["identity"])
     for name, want in wanted.items():
         have = found[name]
         # A configuration is compared as one, so that a run goes on when a field with a default is added.
-        same = INetConfig.from_dict(have) == recipe.config if name == "config" else have == want
-        if not same:
+        if (type(want).from_dict(have) if hasattr(want, "from_dict") else have) != want:
             raise ValueError(f"out: expected a run with {name} {want}, found one with {have}")
 
 
