@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from nqr_geom.curves import hermite
+from nqr_geom.curves.problems import CurveProblem, SdProblem
 from nqr_geom.integrator.learn.gaps import Gaps
 from nqr_geom.integrator.problem import Observation, Problem, Samples
 
@@ -55,10 +56,9 @@ class CurveGaps(Gaps):
     size: ClassVar[int] = 17
 
     def __init__(self, problem: Problem, n: int) -> None:
-        pieces = getattr(getattr(problem, "shapes", None), "pieces", None)
-        if pieces is None:
+        if not isinstance(problem, CurveProblem):
             raise ValueError(f"sampler: expected a problem on curves, got {problem.name!r}")
-        self.pieces = pieces[problem.shape][:, None].double()  # type: ignore[attr-defined]
+        self.pieces = problem.shapes.pieces[problem.shape][:, None].double()
         super().__init__(problem, n)
         slots = self.open.shape
         self.known = torch.zeros(*slots, 2, dtype=torch.bool, device=self.left.device)
@@ -142,10 +142,9 @@ class SdGaps(CurveGaps):
     size: ClassVar[int] = CurveGaps.size + 3
 
     def __init__(self, problem: Problem, n: int) -> None:
-        alpha = getattr(problem, "alpha", None)
-        if alpha is None:
+        if not isinstance(problem, SdProblem):
             raise ValueError(f"sampler: expected a smoothed distance, got {problem.name!r}")
-        self.alpha = float(alpha)
+        self.alpha = problem.alpha
         super().__init__(problem, n)
 
     def worth(self) -> Tensor:
