@@ -8,8 +8,7 @@ Neither the integrand nor the choice of a sample is differentiated.
 from __future__ import annotations
 
 import json
-import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +25,13 @@ from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetCo
 from nqr_geom.integrator.learn.steps import Walks
 from nqr_geom.integrator.learn.tokens import sort_samples
 from nqr_geom.integrator.learn.train import (
-    Progress,
     TrainConfig,
     draw_batch,
+    follow,
     identity,
     launch,
-    refuse_other_run,
     residuals,
     robust,
-    to_json,
 )
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.streams import Stream
@@ -188,51 +185,25 @@ def train_jointly(
     common = {"weight_decay": config.weight_decay, "keep": config.average, "clip": config.clip}
     integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, **common)
     sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, **common)
-    state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
-    start, seconds = 0, 0.0
-    if state is not None:
-        refuse_other_run(state, _identity(recipe, config))
-        integrator.restore(state)
-        sampler.restore(state["sampler"])
-        start, seconds = state["iteration"], state["seconds"]
-    for learner in (integrator, sampler):
-        learner.begin()
-    began, losses = time.monotonic() - seconds, []
     sizes = Stream(config.seed, "train", "sizes")
-    with Progress(progress and fabric.is_global_zero) as advance:
-        for iteration in range(start, config.iterations):
-            rows = torch.arange(iteration * config.batch, (iteration + 1) * config.batch, device=fabric.device)
-            rows = rows[fabric.global_rank :: fabric.world_size]
-            lesson, rollout = roll_out(recipe, snet, rows, recipe.rule.size(sizes, iteration), config)
-            errors = residuals(recipe.rule, integrator.model, lesson, sort_samples(rollout.samples)[0])
-            value = robust(recipe.rule, *errors)
-            rate = learning_rate(config, iteration)
-            integrator.step(value, rate, iteration)
-            outcome = errors[0] if errors[1] is None else errors[1]
-            gain = advantages(outcome.detach().square().mean(dim=1).view(len(rows), config.group)).flatten()
-            likelihood = sampler.model(rollout).mean(dim=1)
-            sampler.step(-(gain * likelihood).mean(), rate * config.sampler_rate / config.rate, iteration)
-            losses.append(value.detach())
-            done = iteration + 1
-            if (done % config.every == 0 or done == config.iterations) and fabric.is_global_zero:
-                seconds = time.monotonic() - began
-                mean = torch.stack(losses).mean().item()
-                losses = []
-                rule = LearnedRule(integrator.average, recipe.rule.base_rule(), recipe.rule.extra)
-                run.log((done, seconds, rate, mean, validate(recipe, sampler.average, rule, config), base))
-                run.save(
-                    {
-                        "identity": to_json(_identity(recipe, config)),
-                        "train": json.dumps(asdict(config)),
-                        "iteration": done,
-                        "seconds": seconds,
-                        **integrator.state(),
-                        "sampler": sampler.state(),
-                    }
-                )
-            advance(done, config.iterations, losses)
-    if fabric.is_global_zero:
-        run.plot()
+
+    def lesson(iteration: int, rows: Tensor) -> Tensor:
+        batch, rollout = roll_out(recipe, snet, rows, recipe.rule.size(sizes, iteration), config)
+        before, behind = residuals(recipe.rule, integrator.model, batch, sort_samples(rollout.samples)[0])
+        value = robust(recipe.rule, before, behind)
+        rate = learning_rate(config, iteration)
+        integrator.step(value, rate, iteration)
+        outcome = (before if behind is None else behind).detach().square().mean(dim=1)
+        gain = advantages(outcome.view(len(rows), config.group)).flatten()
+        likelihood = sampler.model(rollout).mean(dim=1)
+        sampler.step(-(gain * likelihood).mean(), rate * config.sampler_rate / config.rate, iteration)
+        return value
+
+    def measure() -> tuple[float, float]:
+        rule = LearnedRule(integrator.average, recipe.rule.base_rule(), recipe.rule.extra)
+        return validate(recipe, sampler.average, rule, config), base
+
+    follow(fabric, run, config, _identity(recipe, config), integrator, {"sampler": sampler}, lesson, measure, progress)
     return integrator.average, sampler.average
 
 

@@ -211,43 +211,81 @@ def train(
     learner = Learner(
         fabric, net, INet(recipe.config), config.rate, config.weight_decay, keep=config.average, clip=config.clip
     )
+    sizes = Stream(config.seed, "train", "sizes")
+
+    def lesson(iteration: int, rows: Tensor) -> Tensor:
+        batch, samples = draw_lesson(recipe, rows, recipe.size(sizes, iteration), config.seed)
+        value = loss(recipe, learner.model, batch, samples)
+        learner.step(value, learning_rate(config, iteration), iteration)
+        return value
+
+    def measure() -> tuple[float, float]:
+        return validate(recipe, learner.average, config)
+
+    follow(fabric, run, config, identity(recipe, config), learner, {}, lesson, measure, progress)
+    return learner.average
+
+
+def follow(
+    fabric: Any,
+    run: RunFolder,
+    config: TrainConfig,
+    wanted: Mapping[str, Any],
+    learner: Learner[Any],
+    others: Mapping[str, Learner[Any]],
+    lesson: Callable[[int, Tensor], Tensor],
+    measure: Callable[[], tuple[float, float]],
+    progress: bool,
+) -> None:
+    """Give one lesson after the other from where the run stands, with checkpoints and a loss curve.
+
+    Parameters
+    ----------
+    fabric, run, config, wanted
+        Where it runs and is kept, how long, and the identity of the run.
+    learner, others
+        The network whose state the checkpoint is, and those with entries of their own in it.
+    lesson : callable
+        (iteration, global rows of this process) to the loss, with all learners one step further.
+    measure : callable
+        Validation error, and that of the base.
+    progress : bool
+        Show a progress bar.
+    """
     state = fabric.broadcast(run.load() if fabric.is_global_zero else None)
     start, seconds = 0, 0.0
     if state is not None:
-        refuse_other_run(state, identity(recipe, config))
+        refuse_other_run(state, wanted)
         learner.restore(state)
+        for name, other in others.items():
+            other.restore(state[name])
         start, seconds = state["iteration"], state["seconds"]
-    learner.begin()
+    for one in (learner, *others.values()):
+        one.begin()
     began, losses = time.monotonic() - seconds, []
-    sizes = Stream(config.seed, "train", "sizes")
     with Progress(progress and fabric.is_global_zero) as advance:
         for iteration in range(start, config.iterations):
             rows = torch.arange(iteration * config.batch, (iteration + 1) * config.batch, device=fabric.device)
-            rows = rows[fabric.global_rank :: fabric.world_size]
-            batch, samples = draw_lesson(recipe, rows, recipe.size(sizes, iteration), config.seed)
-            value = loss(recipe, learner.model, batch, samples)
-            learner.step(value, learning_rate(config, iteration), iteration)
-            losses.append(value.detach())
+            losses.append(lesson(iteration, rows[fabric.global_rank :: fabric.world_size]).detach())
             done = iteration + 1
             if (done % config.every == 0 or done == config.iterations) and fabric.is_global_zero:
                 seconds = time.monotonic() - began
                 mean = torch.stack(losses).mean().item()
                 losses = []
-                measured = validate(recipe, learner.average, config)
-                run.log((done, seconds, learning_rate(config, iteration), mean, *measured))
+                run.log((done, seconds, learning_rate(config, iteration), mean, *measure()))
                 run.save(
                     {
-                        "identity": to_json(identity(recipe, config)),
+                        "identity": to_json(wanted),
                         "train": json.dumps(asdict(config)),
                         "iteration": done,
                         "seconds": seconds,
                         **learner.state(),
+                        **{name: other.state() for name, other in others.items()},
                     }
                 )
             advance(done, config.iterations, losses)
     if fabric.is_global_zero:
         run.plot()
-    return learner.average
 
 
 def launch(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
