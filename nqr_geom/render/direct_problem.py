@@ -19,7 +19,7 @@ from nqr_geom._warp import array, launch, wp
 from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema, Whole
 from nqr_geom.integrator.rules import BalanceHeuristic
 from nqr_geom.integrator.samplers import Pmj, Random
-from nqr_geom.render import kernels_bsdf, kernels_direct
+from nqr_geom.render import kernels_bsdf, kernels_fused
 from nqr_geom.render.direct_rules import UnhiddenLight, sure_chance
 from nqr_geom.render.kernels_numbers import numbers
 from nqr_geom.render.scene import Scene
@@ -183,7 +183,7 @@ class DirectProblem(Problem):
         """One pass for every point x (B, N, 6)."""
         batch, n = x.shape[:2]
         value, density = np.zeros((batch, n, 2, 3)), np.zeros((batch, n, 2, 2))
-        extra, traced = np.zeros((batch, n, 2, kernels_direct.EXTRA)), np.zeros((batch, 3), np.int32)
+        extra, traced = np.zeros((batch, n, 2, kernels_fused.EXTRA)), np.zeros((batch, 3), np.int32)
         arguments = [
             self.world.struct,
             rows_of(kernels_bsdf.Surface, self.surfaces),
@@ -193,7 +193,7 @@ class DirectProblem(Problem):
             array(extra, wp.float64),
             array(traced, wp.int32),
         ]
-        launch(kernels_direct.kernel("observe", *self.variant), batch, arguments)
+        launch(kernels_fused.kernel("observe", *self.variant), batch, arguments)
         self._count(traced)
         seen = torch.from_numpy(extra)
         features = {name: seen[..., first : first + size] for name, (first, size) in LAYOUT.items()}
@@ -236,7 +236,7 @@ class DirectProblem(Problem):
             *(array(result, wp.vec3d) for result in out),
             array(traced, wp.int32),
         ]
-        launch(kernels_direct.kernel(kind, *self.variant), self.batch, arguments)
+        launch(kernels_fused.kernel(kind, *self.variant), self.batch, arguments)
         self._count(traced)
         m2 = torch.from_numpy(spread) if kind == "balance" and not pmj and n > 1 else None
         fallback = torch.zeros(self.batch, dtype=torch.bool)

@@ -10,7 +10,7 @@ from nqr_geom import registry, render
 from nqr_geom.integrator.estimate import run
 from nqr_geom.render.direct_problem import LAYOUT, DirectProblem
 from nqr_geom.render.effects import ALL, shadows_possible
-from nqr_geom.render.kernels_direct import EXTRA
+from nqr_geom.render.kernels_fused import EXTRA
 from nqr_geom.streams import Stream
 from tests.scenes import EVERYTHING, floor, looking_down, open_floor, two_spheres
 
