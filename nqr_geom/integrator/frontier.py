@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,69 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nqr_geom import check, registry
-from nqr_geom.integrator import memory
-from nqr_geom.integrator.bootstrap import Bootstrap, Interval
+from nqr_geom.files import write_whole
+from nqr_geom.integrator.bootstrap import Bootstrap
 from nqr_geom.integrator.estimate import run
+from nqr_geom.integrator.measure import Measured, Point, measure, measure_peer, point_of
 from nqr_geom.integrator.problem import Problem
 from nqr_geom.machine import machine, versions
 
-__all__ = ["Frontier", "Point", "frontier", "refusal"]
+__all__ = ["Frontier", "Point", "fitting", "frontier", "refusal"]
 
 BUDGETS = (4, 8, 16, 32, 64, 128, 256)
 _BASELINES = ("random+mc", "random+balance-heuristic")  # plain Monte Carlo; the second where techniques compete
-_PEER_CALLS = 3
 
 Floats = NDArray[np.float64]
 Tick = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True)
-class Point:
-    """One method at one number of samples, measured.
-
-    Attributes
-    ----------
-    method, sampler, rule : str
-        The name that was asked for and what it stands for; a peer has no sampler and no rule.
-    kind : {"sampled", "exact"}
-        "exact" for peers, which have no number of samples and are drawn apart.
-    n : int or None
-        Samples per integral.
-    queries : float or None
-        Evaluations of the integrand per integral.
-    seconds : float
-        Wall time per integral: the median over the runs after a first one.
-    peak_memory : int or None
-        Bytes that the whole batch needed at most.
-    mse, mse_interval : float, (low, high)
-        Mean squared error with its 95% bootstrap interval.
-    median, p99 : float
-        Quantiles of the squared error over integrals and runs.
-    squared_bias, squared_bias_interval : float, (low, high), or None for peers
-        Unbiased estimate, which may be negative.
-    ratio, ratio_interval : float, (low, high), or None
-        MSE of plain Monte Carlo with the same n over this one's.
-    fallback : float
-        Share of integrals for which the method gave way to a safer one.
-    """
-
-    method: str
-    sampler: str
-    rule: str
-    kind: str
-    n: int | None
-    queries: float | None
-    seconds: float
-    peak_memory: int | None
-    mse: float
-    mse_interval: Interval
-    median: float
-    p99: float
-    squared_bias: float | None = None
-    squared_bias_interval: Interval | None = None
-    ratio: float | None = None
-    ratio_interval: Interval | None = None
-    fallback: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,13 +85,7 @@ class Frontier:
         """The whole frontier as JSON text; with a path, the file is written in full or not at all."""
         text = json.dumps(asdict(self), indent=1, allow_nan=False)
         if path is not None:
-            target = Path(path)
-            aside = target.with_name(f".{target.name}.{os.getpid()}")
-            try:
-                aside.write_text(text + "\n")
-                aside.replace(target)
-            finally:
-                aside.unlink(missing_ok=True)
+            write_whole(path, text + "\n")
         return text
 
     @classmethod
@@ -150,9 +94,7 @@ class Frontier:
         is_text = isinstance(source, str) and source.lstrip().startswith("{")
         fields = json.loads(source if is_text else Path(source).read_text())  # type: ignore[arg-type]
         points: list[dict[str, Any]] = fields.pop("points")
-        for point in points:
-            point.update({key: tuple(value) for key, value in point.items() if isinstance(value, list)})
-        return cls(points=[Point(**point) for point in points], **fields)
+        return cls(points=[Point.from_dict(point) for point in points], **fields)
 
     def plot(self, path: str | os.PathLike[str]) -> Path:
         """Draw error against queries and against time; the ending of `path` chooses the format."""
@@ -188,95 +130,9 @@ def fitting(problem: Problem, n: int) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-@dataclass(frozen=True)
-class _Measured:
-    """Raw results of all runs of a method at one n."""
-
-    deviations: Floats  # (B, R, C)
-    seconds: float
-    queries: float
-    peak_memory: int | None
-    fallback: float
-
-    @property
-    def errors(self) -> Floats:
-        """Squared errors, mean over channels, (B, R)."""
-        return (self.deviations**2).mean(axis=2)
-
-
-def _measure(problem: Problem, truth: Floats, sampler: str, rule: str, n: int, runs: int, seed: int) -> _Measured:
+def _measure(problem: Problem, truth: Floats, sampler: str, rule: str, n: int, runs: int, seed: int) -> Measured:
     made = registry.make("sampler", sampler), registry.make("rule", rule)
-    memory.release()
-    estimates = [run(problem, *made, n, seed=seed + r) for r in range(runs)]
-    deviations = np.stack([estimate.value - truth for estimate in estimates], axis=1)
-    if not np.isfinite(deviations).all():
-        row = int(np.argwhere(~np.isfinite(deviations))[0, 0])
-        raise FloatingPointError(f"{sampler}+{rule} gave a non-finite estimate for integral {row}")
-    peaks = [estimate.peak_memory for estimate in estimates if estimate.peak_memory is not None]
-    return _Measured(
-        deviations,
-        seconds=float(np.median([estimate.seconds for estimate in estimates[1:]])) / problem.batch,
-        queries=estimates[0].counts["queries"] / problem.batch,
-        peak_memory=max(peaks, default=None),
-        fallback=float(np.mean([estimate.fallback for estimate in estimates])),
-    )
-
-
-def _error_fields(errors: Floats, resample: Bootstrap) -> dict[str, Any]:
-    return {
-        "mse": float(errors.mean()),
-        "mse_interval": resample.mean(errors),
-        "median": float(np.median(errors)),
-        "p99": float(np.quantile(errors, 0.99)),
-    }
-
-
-def _point(name: str, pair: tuple[str, str], n: int, got: _Measured, base: _Measured | None, by: Bootstrap) -> Point:
-    bias, bias_interval = by.squared_bias(got.deviations)
-    mse = float(got.errors.mean())
-    ratio = float(base.errors.mean()) / mse if base is not None and mse > 0.0 else None
-    return Point(
-        method=name,
-        sampler=pair[0],
-        rule=pair[1],
-        kind="sampled",
-        n=n,
-        queries=got.queries,
-        seconds=got.seconds,
-        peak_memory=got.peak_memory,
-        squared_bias=bias,
-        squared_bias_interval=bias_interval,
-        ratio=ratio,
-        ratio_interval=by.ratio(base.errors, got.errors) if base is not None else None,
-        fallback=got.fallback,
-        **_error_fields(got.errors, by),
-    )
-
-
-def _peer(name: str, solve: Callable[[], Floats], truth: Floats, resample: Bootstrap) -> Point:
-    memory.release()
-    with memory.PeakMemory() as peak:
-        answer = np.asarray(solve())
-    spent = []
-    for _ in range(_PEER_CALLS):
-        start = time.perf_counter()
-        solve()
-        spent.append(time.perf_counter() - start)
-    # A peer has no randomness: over a single shape there is nothing to resample.
-    errors = ((answer - truth) ** 2).mean(axis=1, keepdims=True)
-    if resample.over == "runs":
-        errors = np.repeat(errors, resample.times.shape[1], axis=1)
-    return Point(
-        method=name,
-        sampler="",
-        rule="",
-        kind="exact",
-        n=None,
-        queries=None,
-        seconds=float(np.median(spent)) / len(truth),
-        peak_memory=peak.peak,
-        **_error_fields(errors, resample),
-    )
+    return measure(f"{sampler}+{rule}", lambda seed: run(problem, *made, n, seed=seed), truth, range(seed, seed + runs))
 
 
 def _truth(problem: Problem) -> Floats:
@@ -354,21 +210,21 @@ def frontier(
     peers = problem.peers()
     plan = [(name, n) for name in names for n in sizes if (name, n) not in refused]
     total = len(plan) + len(peers)
-    measured: dict[tuple[tuple[str, str], int], _Measured] = {}
+    measured: dict[tuple[tuple[str, str], int], Measured] = {}
 
-    def measure(pair: tuple[str, str], n: int) -> _Measured:
+    def results(pair: tuple[str, str], n: int) -> Measured:
         if (pair, n) not in measured:
             measured[pair, n] = _measure(problem, truth, *pair, n, runs, seed)
         return measured[pair, n]
 
     points = []
     for name, n in plan:
-        base = measure(registry.method(baseline), n) if baseline is not None else None
-        points.append(_point(name, pairs[name], n, measure(pairs[name], n), base, resample))
+        base = results(registry.method(baseline), n) if baseline is not None else None
+        points.append(point_of(name, pairs[name], n, results(pairs[name], n), base, resample))
         if tick is not None:
             tick(len(points), total, f"{name}, n = {n}")
     for name, solve in peers.items():
-        points.append(_peer(name, solve, truth, resample))
+        points.append(measure_peer(name, solve, truth, resample))
         if tick is not None:
             tick(len(points), total, name)
     return Frontier(
