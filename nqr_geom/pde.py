@@ -330,7 +330,7 @@ def _batch(
     from nqr_geom.integrator.estimate import Statistics
     from nqr_geom.wos.walk import walk
 
-    mean, m2 = np.zeros((len(framed), 1)), np.zeros((len(framed), 1))
+    moments = np.zeros((4, len(framed), 1))
     of = np.zeros(len(framed), dtype=np.int64)
     height = max(1, _TILE // len(walks))
     for low in range(0, len(framed), height):
@@ -346,15 +346,12 @@ def _batch(
                 terms = terms + ended.gained
             for key, count in ended.counts().items():
                 counts[key] = counts.get(key, 0) + count
-            # Relative to the first one, so that equal terms have exactly that mean.
-            off = terms - terms[:, :1]
-            average = off.mean(axis=1, keepdims=True)
-            spread = ((off - average) ** 2).sum(axis=1, keepdims=True)
-            piece = Statistics(terms[:, :1] + average, spread, len(some), "samples")
+            piece = Statistics.of(terms[..., None])
             whole = piece if whole is None else whole.merge(piece)
         if whole is not None:
-            mean[part], m2[part] = whole.mean, whole.m2
-    return Statistics(mean, m2, len(walks), "samples")
+            moments[:, part] = whole.mean, whole.m2, whole.m3, whole.m4
+    mean, m2, m3, m4 = moments
+    return Statistics(mean, m2, len(walks), "samples", m3, m4)
 
 
 def scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
@@ -370,7 +367,11 @@ def scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
     fallback = np.zeros(len(inside), dtype=bool)
     fallback[inside] = estimate.fallback
     value = spread(estimate.value)
-    statistics = replace(estimate.statistics, mean=value, m2=spread(estimate.statistics.m2))
+    old = estimate.statistics
+    powers: dict[str, Any] = {
+        name: spread(getattr(old, name)) for name in ("m2", "m3", "m4") if getattr(old, name) is not None
+    }
+    statistics = replace(old, mean=value, **powers)
     stderr = None if estimate.stderr is None else spread(estimate.stderr)
     inner = spread(estimate.inner)
     return replace(estimate, value=value, inner=inner, stderr=stderr, fallback=fallback, statistics=statistics)

@@ -244,9 +244,11 @@ class GwnProblem(CurveProblem):
             queries = self.batch * n * shapes.queries_per_sample
             nowhere = torch.zeros(self.batch, dtype=torch.bool)
             if refine is None:
-                mean, m2 = compiled.sampled(c, k, shape, points, rows, stream.key, n, type(sampler) is Stratified)
-                spread = torch.from_numpy(m2)[:, None] if type(sampler) is Random and n > 1 else None
-                return Whole(torch.from_numpy(mean)[:, None], nowhere, queries, spread)
+                of = compiled.sampled(c, k, shape, points, rows, stream.key, n, type(sampler) is Stratified)
+                mean, m2, m3, m4 = torch.from_numpy(of)[..., None]
+                if type(sampler) is Stratified or n == 1:
+                    return Whole(mean, nowhere, queries)
+                return Whole(mean, nowhere, queries, m2, m3=m3, m4=m4)
             value, doubtful = compiled.refined(c, k, shape, points, rows, stream.key, n, refine.spread, refine.end)
             return Whole(torch.from_numpy(value)[:, None], torch.from_numpy(doubtful), queries)
 

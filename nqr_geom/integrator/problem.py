@@ -337,8 +337,8 @@ class Whole:
         Integrals where the rule gave way or is in doubt.
     queries : int
         Evaluations of the integrand.
-    m2 : Tensor, (B, C), or None
-        Sum of squared deviations of n independent terms, where they are independent.
+    m2, m3, m4 : Tensor, (B, C), or None
+        Sums of second to fourth powers of the deviations of n independent terms, where they are independent.
     link : Link
         The function outside.
     work : mapping of str to int
@@ -351,6 +351,8 @@ class Whole:
     m2: Tensor | None = None
     link: Link = field(default_factory=Link)
     work: Mapping[str, int] = field(default_factory=dict)
+    m3: Tensor | None = None
+    m4: Tensor | None = None
 
 
 class Problem(ABC):

@@ -56,7 +56,7 @@ def gradient(
     edge, t, radius = domain.search(framed)
     level = values.at(edge, t) if variates in ("both", "control") else np.zeros(len(framed))
     terms = n // 2 if paired else n
-    mean, m2 = np.zeros((len(framed), 2)), np.zeros((len(framed), 2))
+    moments = np.zeros((4, len(framed), 2))
     counts: dict[str, int] = {}
     height = max(1, _TILE // n)
     for low in range(0, len(framed), height):
@@ -76,7 +76,8 @@ def gradient(
         each = (2.0 / (r * domain.unit) * found)[..., None] * normal
         if paired:  # opposite to the last bit, so that constants cancel
             each = ((found[:, 0::2] - found[:, 1::2]) / (r * domain.unit))[..., None] * normal[:, 0::2]
-        mean[part] = each.mean(axis=1)
-        m2[part] = ((each - mean[part][:, None]) ** 2).sum(axis=1)
+        found_here = Statistics.of(each)
+        moments[:, part] = found_here.mean, found_here.m2, found_here.m3, found_here.m4
     counts = {"samples": n * len(framed), "queries": counts.get("steps", 0), **counts}
-    return Statistics(mean, m2, terms, "samples"), counts
+    mean, m2, m3, m4 = moments
+    return Statistics(mean, m2, terms, "samples", m3, m4), counts
