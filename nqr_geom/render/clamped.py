@@ -20,17 +20,18 @@ from nqr_geom.integrator.samplers import Sampler, UniformJitter
 from nqr_geom.integrator.sums import row_sum
 from nqr_geom.streams import Stream
 
-__all__ = ["ClampedNoise", "NoiseRefine"]
+__all__ = ["Between", "ClampedNoise", "NoiseRefine", "between", "in_order", "over_nodes"]
 
 # Warp's gradient noise of frequency 1: variance, and decay of the correlation exp(-_DECAY r^2) (measured to 0.03).
 _VARIANCE = 0.0366
 _DECAY = 3.5
+_OCTAVES = 16  # no noise has more
 _NODES = 8  # midpoints in each gap for the answer; the sampler looks at half of them
 _NEEDS = ("length", "optical_length", "u_geo", "slope", "bend", "u_fbm", "noise")
 
 
 @dataclass(frozen=True)
-class _Gaps:
+class Between:
     """The field at midpoints of the N+1 gaps of sorted samples, each (B, N+1, nodes).
 
     Parameters
@@ -46,7 +47,7 @@ class _Gaps:
     variance: Tensor
 
 
-def _over_nodes(values: Tensor) -> Tensor:
+def over_nodes(values: Tensor) -> Tensor:
     """Mean over the last axis in a fixed order, (B, N+1, nodes) -> (B, N+1)."""
     first, *others = values.unbind(dim=-1)
     for node in others:
@@ -56,7 +57,7 @@ def _over_nodes(values: Tensor) -> Tensor:
 
 def _correlation(distance: Tensor, noise: Tensor) -> Tensor:
     """Correlation of fBm at a distance (B, N+1, nodes), for noise constants (B, 5)."""
-    octaves = int(noise[:, 2].max())
+    octaves = min(_OCTAVES, int(noise[:, 2].max()))
     total = power = torch.zeros_like(noise[:, :1, None])
     result = torch.zeros_like(distance)
     scale, share = noise[:, 1, None, None], torch.ones_like(power)
@@ -71,7 +72,7 @@ def _correlation(distance: Tensor, noise: Tensor) -> Tensor:
 def _spread(noise: Tensor) -> Tensor:
     """Standard deviation of fBm (B, 1, 1)."""
     square = noise[:, 3].square()
-    total = sum(torch.where(noise[:, 2] > k, square**k, 0.0) for k in range(int(noise[:, 2].max())))
+    total = sum(torch.where(noise[:, 2] > k, square**k, 0.0) for k in range(min(_OCTAVES, int(noise[:, 2].max()))))
     return (noise[:, 0] * torch.sqrt(_VARIANCE * torch.as_tensor(total)))[:, None, None].expand(-1, 1, 1)
 
 
@@ -98,7 +99,7 @@ def _pinned(left: Tensor, right: Tensor, noise: Tensor, value: Tensor, spread: T
     return mean, spread.square() * left_over.clamp_min(0.0)
 
 
-def _gaps(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> _Gaps:
+def between(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> Between:
     """The field between samples at sorted x (B, N) with features (B, N) each, except "noise" (B, 5)."""
     zero, one = torch.zeros_like(x[:, :1]), torch.ones_like(x[:, :1])
     edges = torch.cat([zero, x, one], dim=1)
@@ -125,10 +126,10 @@ def _gaps(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> _Gaps:
     # Where the field is clamped its uncertainty does not count.
     safe = sigma.clamp_min(1e-9)
     free = torch.special.ndtr(field / safe) - torch.special.ndtr((field - 1.0) / safe)
-    return _Gaps(width, expected, variance * free)
+    return Between(width, expected, variance * free)
 
 
-def _sorted(samples: Samples, rule: str) -> tuple[Tensor, dict[str, Tensor]]:
+def in_order(samples: Samples, rule: str) -> tuple[Tensor, dict[str, Tensor]]:
     """x (B, N) in order and the features that go with it."""
     order = samples.x[..., 0].argsort(dim=1, stable=True)
     features = {}
@@ -154,9 +155,9 @@ class ClampedNoise(Rule):
 
     def combine(self, samples: Samples) -> Combination:
         self._need_1d(samples)
-        x, features = _sorted(samples, self.name)
-        gaps = _gaps(x, features)
-        inner = row_sum(gaps.width * _over_nodes(gaps.mean)) * features["optical_length"][:, 0]
+        x, features = in_order(samples, self.name)
+        gaps = between(x, features)
+        inner = row_sum(gaps.width * over_nodes(gaps.mean)) * features["optical_length"][:, 0]
         return Combination(torch.zeros_like(samples.value), inner[:, None])
 
 
@@ -186,9 +187,9 @@ class NoiseRefine(Sampler):
         places = [x]
         while (have := sum(p.shape[1] for p in places)) < n:
             samples = self._samples(places, seen)
-            ordered, features = _sorted(samples, self.name)
-            gaps = _gaps(ordered, features, _NODES // 2)
-            doubt = gaps.width.square() * _over_nodes(gaps.variance) + 1e-9 * gaps.width.square()
+            ordered, features = in_order(samples, self.name)
+            gaps = between(ordered, features, _NODES // 2)
+            doubt = gaps.width.square() * over_nodes(gaps.variance) + 1e-9 * gaps.width.square()
             more = min(n - have, math.ceil((n - start) / self.rounds), have + 1)
             worst = doubt.argsort(dim=1, descending=True, stable=True)[:, :more].sort(dim=1).values
             edge = torch.nn.functional.pad(ordered, (1, 0))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nqr_geom import check
 from nqr_geom.render.volume import PART, Noise, Volume
 
-__all__ = ["Extrusion", "Spheres", "Torus"]
+__all__ = ["Extrusion", "Spheres", "Torus", "reach_of", "through_balls"]
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def _default_box(shape: Volume, low: Floats, high: Floats) -> None:
     object.__setattr__(shape, "high", high if shape.high is None else shape.high)
 
 
-def _reach(noise: Any) -> float:
+def reach_of(noise: Any) -> float:
     """How far density can reach, in radii: u_geo is a squared distance and u_fBm has a bound."""
     return math.sqrt(1.0 + (noise.bound if isinstance(noise, Noise) else 0.0))
 
@@ -42,7 +42,7 @@ def _across(height: Floats, slope: Floats, reach: float) -> tuple[Floats, Floats
     return near, np.where(flat, np.where(inside, np.inf, -np.inf), ends[1])
 
 
-def _through_balls(offset: Floats, directions: Floats, reach: Floats) -> tuple[Floats, Floats]:
+def through_balls(offset: Floats, directions: Floats, reach: Floats) -> tuple[Floats, Floats]:
     """Distances (m, k) at which lines enter and leave balls at `offset` (m, k, 3) of their origins."""
     middle = np.einsum("mkd,md->mk", offset, directions)
     # The distance between line and centre from the perpendicular itself: |offset|^2 - middle^2 would cancel.
@@ -102,7 +102,7 @@ class Spheres(Volume):
             raise ValueError(f"radii: expected numbers > 0, got {radii.min()}")
         object.__setattr__(self, "centers", centers)
         object.__setattr__(self, "radii", radii)
-        reach = (radii * _reach(self.noise))[:, None]
+        reach = (radii * reach_of(self.noise))[:, None]
         _default_box(self, (centers - reach).min(axis=0), (centers + reach).max(axis=0))
         self._check_box()
 
@@ -111,7 +111,9 @@ class Spheres(Volume):
         return np.concatenate([self.centers - self.low, self.radii[:, None], rest], axis=1)
 
     def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        return _through_balls((self.centers - self.low) - origins[:, None], directions, self.radii * _reach(self.noise))
+        return through_balls(
+            (self.centers - self.low) - origins[:, None], directions, self.radii * reach_of(self.noise)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +162,7 @@ class Torus(Volume):
         check.number("major", self.major, low=float(self.minor))
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "axis", axis / length)
-        tube = self.minor * _reach(self.noise)
+        tube = self.minor * reach_of(self.noise)
         reach = tube + self.major * np.sqrt(np.maximum(1.0 - self.axis**2, 0.0))
         _default_box(self, center - reach, center + reach)
         self._check_box()
@@ -170,9 +172,9 @@ class Torus(Volume):
 
     def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """The ball and the slab around the ring that its tube and noise can reach."""
-        tube = self.minor * _reach(self.noise)
+        tube = self.minor * reach_of(self.noise)
         offset = (self.center - self.low) - origins
-        near, far = _through_balls(offset[:, None], directions, np.array([self.major + tube]))
+        near, far = through_balls(offset[:, None], directions, np.array([self.major + tube]))
         low, high = _across(-offset @ self.axis, directions @ self.axis, tube)
         return np.maximum(near, low[:, None]), np.minimum(far, high[:, None])
 
@@ -237,5 +239,5 @@ class Extrusion(Volume):
     def chords(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """The slab around the plate that its coat and noise can reach."""
         height = origins[:, 2] - 0.5 * (self.high[2] - self.low[2])
-        near, far = _across(height, directions[:, 2], 0.5 * self.thickness + self.radius * _reach(self.noise))
+        near, far = _across(height, directions[:, 2], 0.5 * self.thickness + self.radius * reach_of(self.noise))
         return near[:, None], far[:, None]

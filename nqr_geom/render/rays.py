@@ -15,7 +15,7 @@ from torch import Tensor
 from nqr_geom import check
 from nqr_geom.render.volume import Volume
 
-__all__ = ["SUPPORTS", "Rays"]
+__all__ = ["SUPPORTS", "Rays", "slab", "stretches"]
 
 Floats = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def checked(origins: ArrayLike, directions: ArrayLike, t_max: ArrayLike) -> tupl
     return starts, ways / np.linalg.norm(ways, axis=1, keepdims=True), _lengths(t_max, len(starts))
 
 
-def _slab(origins: Floats, directions: Floats, size: Floats) -> tuple[Floats, Floats]:
+def slab(origins: Floats, directions: Floats, size: Floats) -> tuple[Floats, Floats]:
     """Distances (m,) at which lines enter and leave the box [0, size]; the end comes first where they miss it."""
     flat = directions == 0.0
     safe = np.where(flat, 1.0, directions)
@@ -54,7 +54,7 @@ def _slab(origins: Floats, directions: Floats, size: Floats) -> tuple[Floats, Fl
     return near, far
 
 
-def _stretches(near: Floats, far: Floats, starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
+def stretches(near: Floats, far: Floats, starts: Floats, ends: Floats) -> tuple[Floats, Floats]:
     """The union of intervals (m, k), cut to [near, far], as starts and lengths (m, k) of disjoint ones in order."""
     order = np.argsort(starts, axis=1)
     begin = np.take_along_axis(np.maximum(starts, near[:, None]), order, axis=1)
@@ -130,7 +130,7 @@ class Rays:
     def _one(cls, volume: Volume, origins: Floats, directions: Floats, t_max: Floats, support: str) -> Rays:
         low, high = volume.bounds
         offset = origins - low
-        near, far = _slab(offset, directions, high - low)
+        near, far = slab(offset, directions, high - low)
         near, far = np.maximum(near, 0.0), np.minimum(far, t_max)
         hit = far > near
         near = np.where(hit, near, 0.0)
@@ -140,7 +140,7 @@ class Rays:
             far = np.zeros_like(far)
         nowhere = np.zeros_like(far)
         starts, ends = volume.chords(entry, directions) if support == "pieces" else (nowhere[:, None], far[:, None])
-        start, length = _stretches(nowhere, far, starts, ends)
+        start, length = stretches(nowhere, far, starts, ends)
         tensors = (entry, directions, near, np.zeros(len(near), np.int32), start, length, length.sum(axis=1))
         return cls(*(torch.from_numpy(np.ascontiguousarray(a)) for a in tensors))
 

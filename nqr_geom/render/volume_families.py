@@ -9,6 +9,7 @@ trapezoid together.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from nqr_geom.render.clouds import Spheres, Torus
 from nqr_geom.render.volume import Noise, Volume
 from nqr_geom.streams import Stream
 
-__all__ = ["CloudFamily", "donut", "view", "volumes"]
+__all__ = ["SIDE", "CloudFamily", "balls", "donut", "view", "volumes"]
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +46,15 @@ class CloudFamily:
     largest: float = 1.4
     margin: float = 1.0
     noise: Noise = field(default_factory=Noise)
+
+
+def balls(rows: NDArray[np.int64], seed: int, split: str, family: CloudFamily) -> tuple[Floats, Floats, NDArray[Any]]:
+    """Centres (m, 16, 3), radii (m, 16) and noise seeds (m,) of the clouds with global index `rows` (m,)."""
+    stream, ball = Stream(seed, split, "volumes"), np.arange(SPHERES)
+    u = stream.child("centers").uniform(rows[:, None, None], ball[:, None], np.arange(3))
+    centers = family.margin + (SIDE - 2.0 * family.margin) * u
+    radii = family.smallest + (family.largest - family.smallest) * stream.child("radii").uniform(rows[:, None], ball)
+    return centers, radii, stream.child("noise").bits(rows) & 0x7FFFFFFF
 
 
 def volumes(n: int, seed: int = 0, split: str = "test", family: CloudFamily | None = None) -> list[Spheres]:
@@ -78,14 +88,10 @@ def volumes(n: int, seed: int = 0, split: str = "test", family: CloudFamily | No
     """
     family = family or CloudFamily()
     rows = np.arange(check.integer("n", n, low=1))
-    stream = Stream(check.integer("seed", seed), split, "volumes")
-    ball = np.arange(SPHERES)
-    u = stream.child("centers").uniform(rows[:, None, None], ball[:, None], np.arange(3))
-    centers = family.margin + (SIDE - 2.0 * family.margin) * u
-    radii = family.smallest + (family.largest - family.smallest) * stream.child("radii").uniform(rows[:, None], ball)
-    seeds = (stream.child("noise").bits(rows) & 0x7FFFFFFF).tolist()
+    centers, radii, seeds = balls(rows, check.integer("seed", seed), split, family)
     return [
-        Spheres(c, r, *_BOX, noise=replace(family.noise, seed=s)) for c, r, s in zip(centers, radii, seeds, strict=True)
+        Spheres(c, r, *_BOX, noise=replace(family.noise, seed=s))
+        for c, r, s in zip(centers, radii, seeds.tolist(), strict=True)
     ]
 
 

@@ -11,12 +11,13 @@ from torch import Tensor
 from nqr_geom import registry
 from nqr_geom.integrator.learn.inet import INetConfig, UniformWeights
 from nqr_geom.integrator.learn.tokens import Extra
-from nqr_geom.integrator.problem import Link, LogLink, Problem, Samples
+from nqr_geom.integrator.problem import ExpLink, Link, LogLink, Problem, Samples
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.streams import Stream
 
 __all__ = ["Batch", "Recipe", "draw_samples", "inner_answer"]
 
+_FAINTEST = 1e-300
 _LARGEST = 600.0  # exponent that float64 holds with room to spare
 
 
@@ -122,13 +123,18 @@ def inner_answer(answer: Tensor, link: Link) -> Tensor:
     """The inner integral F of a true answer G(F), (B, C)."""
     if isinstance(link, LogLink):
         return torch.exp((-link.alpha * (answer - link.shift)).clamp(-_LARGEST, _LARGEST))
+    if isinstance(link, ExpLink):
+        return -torch.log(answer.clamp_min(_FAINTEST))
     if link.name == "identity":
         return answer
-    raise ValueError(f"link: expected identity or log, got {link.name!r}")
+    raise ValueError(f"link: expected identity, log or exp, got {link.name!r}")
 
 
 def training_link(link: Link, inner: Tensor, floor: float = 1e-8) -> Tensor:
-    """G of an estimate that may still be negative: the logarithm of its clamped absolute value (Eq. 56)."""
+    """G of an estimate that may still be negative: the logarithm of its clamped absolute value (Eq. 56), and the
+    exponential as it is, so that it pulls back."""
     if isinstance(link, LogLink):
         return replace(link, floor=floor)(inner.abs())
+    if isinstance(link, ExpLink):
+        return torch.exp(-inner.clamp_min(-1.0))
     return link(inner)

@@ -23,7 +23,7 @@ from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
-from nqr_geom.integrator.problem import LogLink, Samples
+from nqr_geom.integrator.problem import ExpLink, LogLink, Samples
 from nqr_geom.integrator.samplers import Sampler
 from nqr_geom.streams import Stream
 
@@ -117,7 +117,8 @@ def residuals(
 
     With the logarithm both are relative errors of the inner integral to first order, so that neither alpha nor the
     distance weighs them: the inner error counts in units of the truth, or of the estimate where that is larger, and
-    -1/alpha stays out of the outer one, as in Eq. 56.
+    -1/alpha stays out of the outer one, as in Eq. 56. With the exponential (Eq. 6) depths above 1 count relatively,
+    since nothing is seen through them.
     """
     samples, link = batch.problem.finalize(samples)
     tokens = tokenize(samples, recipe.config.tokens, recipe.extra)  # (B, N, T, width)
@@ -126,6 +127,8 @@ def residuals(
     mine = correct(raw, recipe.base_rule().combine(samples), samples, recipe.config, recipe.extra)
     inner, link = mine.estimate(samples), mine.link or link
     truth = inner_answer(batch.answer, link)
+    if isinstance(link, ExpLink):
+        return (inner - truth) / truth.clamp_min(1.0), training_link(link, inner) - batch.answer
     if not isinstance(link, LogLink):
         return inner - truth, None
     return (inner - truth) / torch.maximum(truth, inner.detach()), link.alpha * (
