@@ -1,11 +1,23 @@
-"""Files that are there in full or not at all, whatever kills the process meanwhile."""
+"""Where files are kept, and files that are there in full or not at all, whatever kills the process meanwhile."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-__all__ = ["write_whole"]
+__all__ = ["cache_folder", "write_whole"]
+
+
+def cache_folder() -> Path:
+    """Where arrays that take minutes to compute are kept: `NQR_GEOM_CACHE`, or `nqr_geom` in the user's cache.
+
+    Examples
+    --------
+    >>> bool(cache_folder().name)
+    True
+    """
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("NQR_GEOM_CACHE") or Path(home) / "nqr_geom")
 
 
 def write_whole(path: str | os.PathLike[str], text: str) -> Path:

@@ -22,12 +22,12 @@ error_console = Console(stderr=True, markup=False)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; bad input gives one clear line and exit code 2."""
+    """Run the command line: exit code 2 and one clear line for bad input, else what the command says, 0 if nothing."""
     try:
-        app(arguments, exit_on_error=False, print_error=True)
+        code = app(arguments, exit_on_error=False, print_error=True)
     except CycloptsError:
         return 2
     except (ValueError, TypeError, ImportError, OSError, RuntimeError) as error:
         error_console.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
         return 2
-    return 0
+    return code if isinstance(code, int) else 0

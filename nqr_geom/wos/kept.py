@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from nqr_geom.files import cache_folder
 
 __all__ = ["kept"]
 
@@ -30,10 +31,9 @@ def kept(name: str, key: NDArray[Any], compute: Callable[[], Arrays]) -> Arrays:
 
     Notes
     -----
-    The folder is the environment's `NQR_GEOM_CACHE`, or `nqr_geom` in the user's cache.
+    They lie in `nqr_geom.files.cache_folder()`.
     """
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(os.environ.get("NQR_GEOM_CACHE") or Path(home) / "nqr_geom") / "laplace"
+    folder = cache_folder() / "laplace"
     path = folder / f"{name}-{hashlib.sha256(np.ascontiguousarray(key).tobytes()).hexdigest()[:16]}.npz"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)

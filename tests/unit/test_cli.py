@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -163,3 +164,40 @@ def test_a_missing_extra_is_named_in_full(capsys: pytest.CaptureFixture[str], mo
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert ng.__version__ in capsys.readouterr().out
+
+
+def completed(script: Path, *words: str) -> list[str]:
+    """What bash offers for the last word."""
+    quoted = " ".join(words)
+    line = f"""source {script}; COMP_WORDS=({quoted}); COMP_CWORD={len(words) - 1}; _nqr_geom nqr-geom
+    echo "${{COMPREPLY[@]}}\""""
+    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=True).stdout.split()
+
+
+def test_bash_completes_commands_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["completion", "bash"]) == 0
+    script = tmp_path / "nqr-geom"
+    script.write_text(capsys.readouterr().out)
+    assert completed(script, "nqr-geom", "p-l") == ["p-laplace"]
+    assert completed(script, "nqr-geom", "gwn", "--res") == ["--resolution"]
+    assert completed(script, "nqr-geom", "completion", "fi") == ["fish"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "powershell"])
+def test_completion_installs_where_it_is_told(shell: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    out = tmp_path / "completion" / "nqr-geom"
+    assert cli.main(["--install-completion", "--shell", shell, "--output", str(out)]) == 0
+    assert "p-laplace" in out.read_text()
+
+
+def test_python_runs_the_package() -> None:
+    told = subprocess.run([sys.executable, "-m", "nqr_geom.cli", "list", "nothing"], capture_output=True, text=True)
+    assert told.returncode == 2
+    assert told.stderr.startswith("error: kind: expected one of")
+
+
+def test_the_command_line_loads_nothing_heavy() -> None:
+    heavy = "{'torch', 'numba', 'scipy', 'vtk', 'pyvista', 'warp', 'matplotlib', 'dask', 'plotly'}"
+    line = f"import sys, nqr_geom.cli; print(sorted({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", line], capture_output=True, text=True).stdout.strip() == "[]"
