@@ -18,6 +18,8 @@ __all__ = ["Case", "Result", "cases", "groups", "measure", "missing"]
 # Group -> the modules that its cases need beside the core, each with the extra that brings it.
 _NEEDS: dict[str, tuple[tuple[str, str], ...]] = {
     "winding": (),
+    "distance": (),
+    "smoothed": (),
 }
 
 

@@ -60,7 +60,7 @@ COMB = closed(
 ).reversed()  # fmt: skip
 
 
-TABLE = [Row(*row) for row in [
+_ROWS: list[tuple[Any, ...]] = [
     ("square: centre, outside", SQUARE, [(0.5, 0.5), (1.5, 0.5), (-0.5, 0.5), (0.5, 2)], [1, 0, 0, 0], 0),
     ("square: clockwise", SQUARE.reversed(), [(0.5, 0.5), (2, 2), (0.5, 0), (0, 0)], [-1, 0, -0.5, -0.25], 1e-16),
     ("square: middle of each edge", SQUARE, [(0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)], [0.5] * 4, 0),
@@ -151,7 +151,8 @@ TABLE = [Row(*row) for row in [
         [[[1, -1], [1, 0], [1, 1]]]), [(0, 0), (2, 0)], [0.5, -0.5], 1e-15),
     ("nearly vanishing leading coefficient", pieces([[[1, -1], [1, -1 / 3], [1 + 1e-17, 1 / 3 + 1e-17], [1, 1]]]),
      [(0, 0)], [0.25], 1e-12),
-]]  # fmt: skip
+]  # fmt: skip
+TABLE = [Row(*row) for row in _ROWS]
 
 
 def by_chords(curve: Curve, points: Floats, n: int = 4096) -> Floats:
