@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -135,7 +136,7 @@ def folded(estimate: Estimate, parts: int, alpha: float | None = None) -> Estima
         return _folded_logarithms(estimate, parts, alpha)
 
     def total(values: NDArray[Any]) -> NDArray[Any]:
-        return values.reshape(parts, -1, *values.shape[1:]).sum(axis=0)
+        return _added(values.reshape(parts, -1, *values.shape[1:]))
 
     old = estimate.statistics
     statistics = _summed(total, old, np.ones_like(old.mean))
@@ -150,6 +151,11 @@ def folded(estimate: Estimate, parts: int, alpha: float | None = None) -> Estima
     )
 
 
+def _added(parts: NDArray[Any]) -> NDArray[Any]:
+    """Sum over axis 0, part after part: NumPy's own order depends on how many rows there are."""
+    return np.asarray(reduce(np.add, parts))
+
+
 def _folded_logarithms(estimate: Estimate, parts: int, alpha: float) -> Estimate:
     """`folded` behind -ln(F) / alpha, with the smallest part taken out so that no F under- or overflows."""
     old = estimate.statistics
@@ -159,10 +165,10 @@ def _folded_logarithms(estimate: Estimate, parts: int, alpha: float) -> Estimate
 
     least = stacked(old.mean).min(axis=0)
     inner = np.exp(-alpha * (stacked(old.mean) - least))
-    total = inner.sum(axis=0)
+    total = _added(inner)
     # Each part moves the sum by its share of it.
     share = (inner / total).reshape(old.mean.shape)
-    statistics = _summed(lambda values: stacked(values).sum(axis=0), old, share)
+    statistics = _summed(lambda values: _added(stacked(values)), old, share)
     statistics = replace(statistics, mean=least - np.log(total) / alpha)
     # A part that is farther than the nearest by 20 / alpha would have to be that wrong before its doubts matter.
     seen = (inner > 1e-9 * total).any(axis=2)
