@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
+from nqr_geom.chunks import by_chunks, keyed
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
 from nqr_geom.p_harmonic import solve_p_laplace
 from nqr_geom.pde import solve_laplace
@@ -59,6 +60,7 @@ def _answer(
     n: int,
     tol: float | None,
     seed: int,
+    rows: ArrayLike | None,
     full_output: bool,
 ) -> Floats | Estimate:
     """An exact answer, or the estimate of a sampled method, for one of the problems on curves."""
@@ -77,6 +79,8 @@ def _answer(
     # Rules that know few pieces see a long curve in parts with n samples each; their integrals add up (Fig. 25).
     parts = curve.split_pieces(most) if most and curve.n_pieces > most and not black_box else [curve]
     made = problem(parts if len(parts) > 1 else curve)
+    if rows is not None:
+        made = keyed(made, check.rows(rows, made.batch // len(parts)))
     if tol is None:
         estimate = integrate(made, n, sampler=sampler, rule=rule, seed=seed)
     else:
@@ -92,6 +96,7 @@ def _answer(
     return estimate if full_output else estimate.value[:, 0]
 
 
+@by_chunks("points")
 def gwn(
     curve: Curve,
     points: ArrayLike,
@@ -100,6 +105,7 @@ def gwn(
     n: int = 32,
     tol: float | None = None,
     seed: int = 0,
+    rows: ArrayLike | None = None,
     full_output: bool = False,
 ) -> Floats | Estimate:
     """Generalised winding number of a curve around each query point (Eq. 5).
@@ -111,8 +117,9 @@ def gwn(
     ----------
     curve : Curve
         Open, closed, self-intersecting or disjoint pieces.
-    points : (m, 2) array_like
-        Query points, finite.
+    points : (m, 2) array_like, or dask array
+        Query points, finite. A dask array gives one back that is computed chunk by chunk, in all functions of `points`
+        that return an array; the values are those of the whole, bit for bit.
     method : str
         "exact" (default), "auto" (exact where the pieces are known, else "structured"), "mc", "stratified",
         "trapezoid", "structured", "inet" (a trained network), "nqr" (a network places the samples, another weighs
@@ -124,6 +131,9 @@ def gwn(
         Absolute error to reach: a sampled method doubles n until repetitions agree that well.
     seed : int
         Seed of a sampled method; the same seed gives the same answer.
+    rows : (m,) array_like of int, optional
+        Which row of a bigger array each point is, 0 .. m-1 if not given: it keys the random numbers, so that parts of
+        an array, asked for one by one, get the answers of the whole.
     full_output : bool
         Return the `Estimate` with counts, times and error bars instead of the array.
 
@@ -160,9 +170,10 @@ def gwn(
 
         return problems.gwn(curve, points)
 
-    return _answer(exact, problem, "gwn", curve, method, n, tol, seed, full_output)
+    return _answer(exact, problem, "gwn", curve, method, n, tol, seed, rows, full_output)
 
 
+@by_chunks("points")
 def sd(
     curve: Curve,
     points: ArrayLike,
@@ -172,6 +183,7 @@ def sd(
     n: int = 32,
     tol: float | None = None,
     seed: int = 0,
+    rows: ArrayLike | None = None,
     full_output: bool = False,
 ) -> Floats | Estimate:
     """Smoothed unsigned distance -ln(integral of exp(-alpha |x - p|) dl) / alpha (Eq. 50).
@@ -185,7 +197,7 @@ def sd(
     alpha : float
         Sharpness, > 0, in units of one over length. The answer lies between d_min - ln(L)/alpha and
         d_max - ln(L)/alpha for a curve of length L.
-    method, n, tol, seed, full_output
+    method, n, tol, seed, rows, full_output
         As for `gwn`. "exact" is adaptive quadrature to about 1e-10. "inet" is trained for alpha = 35 on shapes in
         [-1, 1]^2 and for alpha between an eighth and four times that; elsewhere it gives way to the trapezoid and the
         Estimate says so.
@@ -214,9 +226,10 @@ def sd(
 
         return smooth.sd(curve, points, alpha=alpha)
 
-    return _answer(exact, problem, "sd", curve, method, n, tol, seed, full_output)
+    return _answer(exact, problem, "sd", curve, method, n, tol, seed, rows, full_output)
 
 
+@by_chunks("points")
 def distance(curve: Curve, points: ArrayLike) -> Floats:
     """Distance from each point (m, 2) to the nearest point of the curve, (m,) float64, >= 0.
 
@@ -231,6 +244,7 @@ def distance(curve: Curve, points: ArrayLike) -> Floats:
     return kernels.distance(_curve(curve), points)
 
 
+@by_chunks("points")
 def signed_distance(curve: Curve, points: ArrayLike, *, sign: str = "nonzero") -> Floats:
     """Distance with a sign, negative inside, (m,) float64.
 
@@ -270,6 +284,7 @@ def closest_point(curve: Curve, points: ArrayLike) -> ClosestPoint:
     return kernels.closest_point(_curve(curve), points)
 
 
+@by_chunks("points", columns=2)
 def gwn_gradient(curve: Curve, points: ArrayLike) -> Floats:
     """Derivative of the winding number by the query, (m, 2) float64; zero for closed curves.
 
@@ -284,6 +299,7 @@ def gwn_gradient(curve: Curve, points: ArrayLike) -> Floats:
     return winding.gwn_gradient(_curve(curve), points)
 
 
+@by_chunks("points", columns=2)
 def sd_gradient(curve: Curve, points: ArrayLike, *, alpha: float = 35.0) -> Floats:
     """Derivative of the smoothed distance by the query, (m, 2) float64, of length at most 1.
 
@@ -298,6 +314,7 @@ def sd_gradient(curve: Curve, points: ArrayLike, *, alpha: float = 35.0) -> Floa
     return smooth.sd_gradient(_curve(curve), points, alpha=alpha)
 
 
+@by_chunks("points", columns=2)
 def distance_gradient(curve: Curve, points: ArrayLike) -> Floats:
     """Derivative of the distance by the query, (m, 2) float64: a unit vector away from the nearest point.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["array", "choice", "integer", "number", "require"]
+__all__ = ["array", "choice", "integer", "number", "require", "rows"]
 
 
 def _describe(value: Any) -> str:
@@ -146,3 +146,29 @@ def require(module: str, extra: str, purpose: str) -> Any:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise ImportError(f'{purpose} need {module}: pip install "nqr-geom[{extra}]"') from error
+
+
+def rows(value: ArrayLike | None, m: int) -> NDArray[np.int64]:
+    """Return the rows that m queries have in a bigger array, (m,) int64, or raise; 0 .. m-1 if None.
+
+    They key random numbers. They lie below 2^40: the bits above number the parts of a curve.
+
+    Examples
+    --------
+    >>> rows(None, 3)
+    array([0, 1, 2])
+    >>> rows([7, 8, -1], 3)
+    Traceback (most recent call last):
+    ValueError: rows: expected integers from 0 to 2^40 - 1, got -1 at index 2
+    """
+    if value is None:
+        return np.arange(m)
+    given = np.asarray(value)
+    if given.dtype.kind not in "iu":
+        raise TypeError(f"rows: expected integers, got {_describe(given)}")
+    if given.shape != (m,):
+        raise ValueError(f"rows: expected shape ({m},), one a query, got {given.shape}")
+    bad = np.flatnonzero((given < 0) | (given >= 1 << 40))
+    if len(bad):
+        raise ValueError(f"rows: expected integers from 0 to 2^40 - 1, got {given[bad[0]]} at index {bad[0]}")
+    return given.astype(np.int64)

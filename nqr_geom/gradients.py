@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
+from nqr_geom.chunks import by_chunks
 from nqr_geom.streams import Stream
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ __all__ = ["laplace_gradient"]
 Floats = NDArray[np.float64]
 
 
+@by_chunks("points", columns=2)
 def laplace_gradient(
     polygon: Any,
     boundary: Any,
@@ -30,6 +32,7 @@ def laplace_gradient(
     max_steps: int = 10_000,
     outside: str = "raise",
     seed: int = 0,
+    rows: ArrayLike | None = None,
     full_output: bool = False,
 ) -> Floats | Estimate:
     """Gradient by the query of the harmonic function with given boundary values, by walks on spheres.
@@ -41,7 +44,7 @@ def laplace_gradient(
     ----------
     polygon, boundary : as for `solve_laplace`
         The domain and the values on its edge.
-    points : (m, 2) array_like
+    points : (m, 2) array_like, or dask array
         Queries inside, not on the edge.
     n : int
         Walks a query, >= 2; rounded up to an even number where they come in pairs.
@@ -49,7 +52,7 @@ def laplace_gradient(
         "control": the boundary value nearest to the query is taken off u, which changes no mean. "antithetic": walks
         start in opposite pairs, so that every constant cancels. "both": these pairs, evenly spread over the circle; the
         standard error does not know of the spread and is too large.
-    epsilon, max_steps, outside, seed : as for `solve_laplace`
+    epsilon, max_steps, outside, seed, rows : as for `solve_laplace`
         The shell, the cap on steps, what to do with points outside, and which walks.
     full_output : bool
         Return the `Estimate` with its standard error.
@@ -89,15 +92,15 @@ def laplace_gradient(
     domain = Domain.of(polygon)
     values = domain.boundary(boundary)
     framed, inside = inside_of(domain, points, outside)
-    rows = np.flatnonzero(inside)
+    keys = check.rows(rows, len(framed))[inside]
     stream = Stream(check.integer("seed", seed), "test", "gradient/0")
-    on = domain.search(framed[rows])[2] <= 1e-14
+    on = domain.search(framed[inside])[2] <= 1e-14
     if on.any():
-        row = int(rows[int(np.flatnonzero(on)[0])])
+        row = int(np.flatnonzero(inside)[int(np.flatnonzero(on)[0])])
         raise ValueError(
             f"points: expected points off the edge, where the gradient is none, got one on it at row {row}"
         )
-    statistics, counts = gradient(values, framed[rows], rows, n, variates, stream, epsilon, max_steps)
+    statistics, counts = gradient(values, framed[inside], keys, n, variates, stream, epsilon, max_steps)
     seconds = time.perf_counter() - start
     what = {"sampler": "random", "rule": f"gradient, {variates}", "seeds": (seed,)}
     estimate = _estimate(statistics.mean, statistics, statistics.stderr, n, counts, seconds, **what)

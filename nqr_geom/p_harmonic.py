@@ -134,7 +134,7 @@ def _by_network(
     domain = Domain.of(polygon)
     framed, inside = inside_of(domain, points, outside)
     walks: dict[str, Any] = {"n": n, "max_steps": 12, "epsilon": 1e-3, "seed": seed}
-    found = by_rule(domain.boundary(boundary), framed, inside, *_LEARNED, **walks)
+    found = by_rule(domain.boundary(boundary), framed[inside], np.flatnonzero(inside), *_LEARNED, **walks)
     plan = {**found.plan, "problem": "p-laplace", "method": "inet", "p": _LEARNED_P}
     return scattered(replace(found, plan=plan), inside)
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
+from nqr_geom.chunks import by_chunks
 from nqr_geom.streams import Stream
 
 if TYPE_CHECKING:
     from nqr_geom.integrator.estimate import Estimate, Statistics
+    from nqr_geom.wos.boundary import BoundarySolution
     from nqr_geom.wos.domain import Boundary, Domain
     from nqr_geom.wos.walk import Physics
 
@@ -24,6 +27,7 @@ Floats = NDArray[np.float64]
 Source = Callable[[Floats], ArrayLike] | float | None
 
 METHODS = ("auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem")
+_OUTSIDE = ("raise", "nan")
 _BY_RULE = ("wos-lhs", "wos-rqmc", "structured", "inet")  # a sampler and a rule over `n` walks of few steps
 
 _STEPS = 10_000  # of a walk that is not told otherwise: it ends after some ten or twenty
@@ -34,6 +38,40 @@ _WALK_SECONDS = 2.5e-6  # one walk on one core, for "auto" to compare with
 _SURE = 3.0  # standard errors within the tolerance
 
 
+def _for_chunks(given: dict[str, Any], queries: int) -> Callable[..., Any]:
+    """What answers chunks of a dask array as `solve_laplace` would answer all of its points at once."""
+    from nqr_geom.wos.domain import Domain
+    from nqr_geom.wos.walk import Physics
+
+    method = check.choice("method", given["method"], METHODS)
+    if method == "fem" or (method == "wos" and given["n"] is None):
+        # Where the mesh is refined and how many walks there are depends on all points together.
+        raise ValueError(f"method: expected 'boundary', 'wos' with n, or a rule with a dask array, got {method!r}")
+    if method not in ("auto", "boundary"):
+        return partial(solve_laplace, **given)
+    _only_laplace("boundary", Physics(check.number("screening", given["screening"], low=0.0), given["source"]))
+    domain = Domain.of(given["polygon"])
+    tol = check.number("tol", given["tol"], low=0.0, open_low=True)
+    # Solved here and once: the workers get the solution, and its bits do not depend on their threads.
+    solution = _solved(domain.boundary(given["boundary"]), tol)
+    return partial(_by_solution, solution, outside=check.choice("outside", given["outside"], _OUTSIDE))
+
+
+def _by_solution(solution: BoundarySolution, points: ArrayLike, rows: ArrayLike, *, outside: str) -> Floats:
+    framed, inside = inside_of(solution.domain, points, outside)
+    value = np.full(len(framed), np.nan)
+    value[inside] = solution.at(framed[inside])
+    return value
+
+
+def _only_laplace(method: str, physics: Physics) -> None:
+    """Refuse a source or screening for methods that know neither."""
+    if method in ("boundary", *_BY_RULE) and (physics.screening > 0.0 or physics.source is not None):
+        what = "screening" if physics.screening > 0.0 else "source"
+        raise ValueError(f"{what}: expected none with method {method!r}, which solves Laplace's equation, got one")
+
+
+@by_chunks("points", prepare=_for_chunks)
 def solve_laplace(
     polygon: Any,
     boundary: Any,
@@ -48,6 +86,7 @@ def solve_laplace(
     screening: float = 0.0,
     outside: str = "raise",
     seed: int = 0,
+    rows: ArrayLike | None = None,
     full_output: bool = False,
 ) -> Floats | Estimate:
     """Solve -laplace(u) + screening u = source in a polygon, u = boundary on its edge, at points.
@@ -59,8 +98,9 @@ def solve_laplace(
     boundary : callable or (n,) array_like
         Values on the edge: a function (m, 2) -> (m,), or one number a vertex in given order, linear along the edges.
         A vertex given twice may carry a jump.
-    points : (m, 2) array_like
-        Queries, finite.
+    points : (m, 2) array_like, or dask array
+        Queries, finite. A dask array gives one back that is computed chunk by chunk, by a method that treats every
+        point by itself: "boundary" ("auto" too), which is solved once, "wos" with `n`, or one with a rule.
     method : {"auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"}
         "boundary": deterministic, to many digits, Laplace only. "wos": independent walks to the epsilon shell.
         "wos-lhs": `n` walks of at most `max_steps` (12) steps with Latin hypercube directions, as in the paper.
@@ -85,6 +125,8 @@ def solve_laplace(
         What to do with points outside the polygon.
     seed : int
         The same seed gives the same walks, whatever else is asked for.
+    rows : (m,) array_like of int, optional
+        Which row of a bigger array each point is, see `gwn`.
     full_output : bool
         Return the `Estimate`: walks by outcome and steps in `counts`, the choice and the residual in `plan`.
 
@@ -112,7 +154,7 @@ def solve_laplace(
     from nqr_geom.wos.walk import Physics
 
     check.choice("method", method, METHODS)
-    check.choice("outside", outside, ["raise", "nan"])
+    check.choice("outside", outside, _OUTSIDE)
     tol = check.number("tol", tol, low=0.0, open_low=True)
     epsilon = check.number("epsilon", epsilon, low=1e-12, high=0.5)
     screening = check.number("screening", screening, low=0.0)
@@ -124,14 +166,13 @@ def solve_laplace(
     domain = Domain.of(polygon)
     values = domain.boundary(boundary)
     framed, inside = inside_of(domain, points, outside)
+    keys = check.rows(rows, len(framed))[inside]
     physics = Physics(screening * domain.unit**2, _framed(domain, source))
     plan: dict[str, Any] = {"method": method}
     if method == "auto":
         method, why = _cheapest(values, int(inside.sum()), tol, physics)
         plan = {"method": method, "why": why}
-    if method in ("boundary", *_BY_RULE) and (physics.screening > 0.0 or physics.source is not None):
-        what = "screening" if physics.screening > 0.0 else "source"
-        raise ValueError(f"{what}: expected none with method {method!r}, which solves Laplace's equation, got one")
+    _only_laplace(method, physics)
     if method == "boundary":
         estimate = _by_boundary(values, framed[inside], tol)
     elif method == "fem":
@@ -141,10 +182,10 @@ def solve_laplace(
         if method == "inet" and max_steps not in (None, 12):
             raise ValueError(f"max_steps: expected 12 with method 'inet', which is trained on them, got {max_steps}")
         settings: dict[str, Any] = {"n": n or 32, "max_steps": max_steps or 12, "epsilon": epsilon, "seed": seed}
-        estimate = by_rule(values, framed, inside, *registry.method(method, "laplace"), **settings)
+        estimate = by_rule(values, framed[inside], keys, *registry.method(method, "laplace"), **settings)
     else:
         settings = {"epsilon": epsilon, "max_steps": max_steps or _STEPS, "physics": physics}
-        estimate = _by_walks(values, framed[inside], np.flatnonzero(inside), n, tol, seed, settings)
+        estimate = _by_walks(values, framed[inside], keys, n, tol, seed, settings)
     estimate = replace(estimate, plan={**estimate.plan, **plan, "tol": tol})
     estimate = scattered(estimate, inside)
     return estimate if full_output else estimate.value[:, 0]
@@ -226,14 +267,18 @@ def _sure(value: Floats, seconds: float, **plan: Any) -> Estimate:
     return _estimate(column, statistics, None, 0, counts, seconds, sampler="none", seeds=(), **plan)
 
 
-def _by_boundary(values: Boundary, framed: Floats, tol: float) -> Estimate:
+def _solved(values: Boundary, tol: float) -> BoundarySolution:
     from nqr_geom.wos.boundary import solve
 
-    start = time.perf_counter()
     edges = len(values.domain)
     probe = values.at(np.repeat(np.arange(edges), 3), np.tile([0.1, 0.5, 0.9], edges))
     relative = tol / (float(np.ptp(probe)) or 1.0)
-    solution = solve(values.domain, values, min(relative, 1e-8 if edges <= 100 else 1e-6))
+    return solve(values.domain, values, min(relative, 1e-8 if edges <= 100 else 1e-6))
+
+
+def _by_boundary(values: Boundary, framed: Floats, tol: float) -> Estimate:
+    start = time.perf_counter()
+    solution = _solved(values, tol)
     value = solution.at(framed)
     told = {"residual": solution.residual, "unknowns": solution.unknowns, "met": solution.residual <= tol}
     return _sure(value, time.perf_counter() - start, rule="boundary", **told)
@@ -263,7 +308,7 @@ def _by_fem(polygon: Any, boundary: Any, points: Floats, tol: float, source: Sou
 def by_rule(
     values: Boundary,
     framed: Floats,
-    inside: NDArray[np.bool_],
+    rows: NDArray[np.int64],
     sampler: str,
     rule: str,
     *,
@@ -272,7 +317,7 @@ def by_rule(
     epsilon: float,
     seed: int,
 ) -> Estimate:
-    """The integrator on the walk problem at the points inside, less a constant so that constants are exact."""
+    """The integrator on the walk problem at points inside, less a constant so that constants are exact."""
     check.require("torch", "learn", f"methods such as '{sampler}+{rule}'")
     import torch
 
@@ -280,8 +325,8 @@ def by_rule(
     from nqr_geom.wos.problems import LaplaceProblem
 
     level = float(values.at(np.zeros(1, dtype=np.int64), np.zeros(1))[0])
-    problem = LaplaceProblem.joined([values.less(level)], [framed[inside]], max_steps, epsilon)
-    problem = replace(problem, rows=torch.from_numpy(np.flatnonzero(inside)))
+    problem = LaplaceProblem.joined([values.less(level)], [framed], max_steps, epsilon)
+    problem = replace(problem, rows=torch.from_numpy(rows))
     estimate = run(problem, registry.make("sampler", sampler), registry.make("rule", rule), n, seed=seed)
     statistics = replace(estimate.statistics, mean=estimate.statistics.mean + level)
     return replace(estimate, value=estimate.value + level, inner=estimate.inner + level, statistics=statistics)

@@ -29,6 +29,7 @@ from nqr_geom.streams import Stream
 __all__ = ["CurveProblem", "GwnProblem", "SdProblem"]
 
 _LARGEST = 1e120
+_ROW_BITS = 40  # of a row that number its query
 _TINY = 1e-280  # squared distances are kept above it, so that a query on the curve stays finite
 
 
@@ -71,7 +72,7 @@ class CurveProblem(Problem):
     @classmethod
     def _parts(
         cls, curve: Curve | Sequence[Curve], points: ArrayLike
-    ) -> tuple[Shapes, Tensor, Tensor, tuple[Curve, ...]]:
+    ) -> tuple[Shapes, Tensor, Tensor, Tensor, tuple[Curve, ...]]:
         curves = (curve,) if isinstance(curve, Curve) else tuple(curve)
         if not curves or not all(isinstance(c, Curve) for c in curves):
             raise TypeError(f"curve: expected a Curve or a sequence of them, got {curve!r}")
@@ -88,7 +89,9 @@ class CurveProblem(Problem):
         else:
             shapes = PackedShapes.from_curves(curves)
         shape = torch.arange(len(curves)).repeat_interleave(len(queries))
-        return shapes, queries.repeat(len(curves), 1), shape, curves
+        # The upper bits of a row number its curve: what a query draws does not depend on how many others there are.
+        rows = (shape << _ROW_BITS) + torch.arange(len(queries)).repeat(len(curves))
+        return shapes, queries.repeat(len(curves), 1), shape, rows, curves
 
     @classmethod
     @abstractmethod
@@ -207,8 +210,7 @@ class GwnProblem(CurveProblem):
     @classmethod
     def of(cls, curve: Curve | Sequence[Curve], points: ArrayLike) -> GwnProblem:
         """Winding numbers of `points` (m, 2) with respect to a curve, or to each of several."""
-        shapes, queries, shape, curves = cls._parts(curve, points)
-        return cls(shapes, queries, shape, torch.arange(len(queries)), curves)
+        return cls(*cls._parts(curve, points))
 
     def evaluate(self, x: Tensor) -> Observation:
         relative, tangent, distance2, features = self._observe(x)
@@ -297,8 +299,7 @@ class SdProblem(CurveProblem):
     def of(cls, curve: Curve | Sequence[Curve], points: ArrayLike, alpha: float = 35.0) -> SdProblem:
         """Smoothed distances of `points` (m, 2) to a curve, or to each of several; alpha > 0."""
         alpha = check.number("alpha", alpha, low=0.0, open_low=True)
-        shapes, queries, shape, curves = cls._parts(curve, points)
-        return cls(shapes, queries, shape, torch.arange(len(queries)), curves, alpha)
+        return cls(*cls._parts(curve, points), alpha)
 
     def evaluate(self, x: Tensor) -> Observation:
         _, _, distance2, features = self._observe(x)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
+from nqr_geom.chunks import by_chunks, keyed
 from nqr_geom.render.volume import Homogeneous, Volume
 
 if TYPE_CHECKING:
@@ -122,6 +123,7 @@ def _kernels(problem: TransmittanceProblem, estimate: Estimate, method: str) -> 
     return (f"{verb}[{problem.medium.name}]",)
 
 
+@by_chunks("origins", "directions", "t_max")
 def transmittance(
     volume: Volume,
     origins: ArrayLike,
@@ -131,6 +133,7 @@ def transmittance(
     n: int = 24,
     method: str = "stratified",
     seed: int = 0,
+    rows: ArrayLike | None = None,
     full_output: bool = False,
     everything: bool = False,
 ) -> Floats | Estimate:
@@ -143,9 +146,10 @@ def transmittance(
     ----------
     volume : Volume
         A medium in a box, see `Homogeneous`, `Grid`, `Spheres`, `Torus`, `Extrusion`.
-    origins, directions : (m, 3) array_like
-        Where rays start and go; directions of any length but zero.
-    t_max : float or (m,) array_like
+    origins, directions : (m, 3) array_like, or dask arrays
+        Where rays start and go; directions of any length but zero. Dask arrays give one back that is computed chunk by
+        chunk.
+    t_max : float or (m,) array_like, or dask array
         Length of the rays, >= 0, in the unit of the coordinates; infinity for all of the volume.
     n : int
         Density queries per ray.
@@ -159,6 +163,8 @@ def transmittance(
         times; a single run is unbiased, the mean of a number of runs that depends on them is so only nearly.
     seed : int
         The same seed gives the same answer for a ray, whatever other rays are asked for after it.
+    rows : (m,) array_like of int, optional
+        Which row of a bigger array each ray is, 0 .. m-1 if not given: it keys the random numbers.
     full_output : bool
         Return the `Estimate`: optical depths (`inner`), queries and noise evaluations (`counts`), effects, kernels
         (`plan`), time by stage.
@@ -200,6 +206,8 @@ def transmittance(
 
     support = "pieces" if method == "structured" else "bounds"
     problem = TransmittanceProblem.of(volume, origins, directions, t_max, support=support, everything=everything)
+    if rows is not None:
+        problem = keyed(problem, check.rows(rows, problem.batch))
     closed = problem.effects <= {Homogeneous.kind} and not everything
     if closed:
         estimate = _closed(problem)

@@ -69,7 +69,7 @@ def test_plain_weights_agree_in_every_digit(mixture: GwnProblem, sampler, n: int
     # A query on the rim of the card's box may fall to either side of it in the reference's single precision.
     same = fast.fallback == slow.fallback
     assert same.mean() > 0.999
-    np.testing.assert_allclose(fast.value[same], slow.value[same], rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(fast.value[same], slow.value[same], rtol=1e-10, atol=1e-12)
     assert fast.counts == slow.counts
     assert fast.stderr is None
     assert slow.stderr is None
