@@ -20,6 +20,7 @@ def test_no_example_is_left_out() -> None:
     assert names == {
         "gwn_of_svg",
         "light_through_a_cloud",
+        "own_integral",
         "p_laplace_values",
         "p_three_from_walks",
         "room_by_four_methods",
@@ -84,3 +85,11 @@ def test_walks_from_a_point(tmp_path: Path) -> None:
     gap = import_module("examples.walks_from_a_point").main(tmp_path, resolution=80)
     assert gap == pytest.approx(0.0040, abs=2e-4)
     assert (tmp_path / "walks_from_a_point.png").stat().st_size > 10_000
+
+
+def test_own_integral(tmp_path: Path) -> None:
+    """Equal steps around a closed curve converge faster than any power of n; Monte Carlo does not."""
+    errors = import_module("examples.own_integral").main(tmp_path, ellipses=50)
+    assert errors["grid+trapezoid"] < 1e-10 < errors["gauss-legendre"] < 1e-8 < errors["stratified"] < errors["mc"]
+    assert errors["mc"] == pytest.approx(0.018, rel=0.3)
+    assert (tmp_path / "own_integral.png").stat().st_size > 10_000
