@@ -186,7 +186,7 @@ def sd(
     rows: ArrayLike | None = None,
     full_output: bool = False,
 ) -> Floats | Estimate:
-    """Smoothed unsigned distance -ln(integral of exp(-alpha |x - p|) dl) / alpha (Eq. 50).
+    """Smoothed unsigned distance `-ln(integral of exp(-alpha |x - p|) dl) / alpha` (Eq. 50).
 
     Parameters
     ----------
