@@ -37,7 +37,7 @@ def solve_p_laplace(
     seed: int = 0,
     full_output: bool = False,
 ) -> NDArray[np.float64] | Estimate:
-    """Solve div(|grad u|^(p-2) grad u) = 0 in a polygon, u = boundary on its edge, at points.
+    """Solve `div(|grad u|^(p-2) grad u) = 0` in a polygon, u = boundary on its edge, at points.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def through_balls(offset: Floats, directions: Floats, reach: Floats) -> tuple[Fl
 
 @dataclass(frozen=True, eq=False)
 class Spheres(Volume):
-    """Balls that are densest in the middle, u_geo = min |x - c|^2 / r^2, with noise on top.
+    """Balls that are densest in the middle, `u_geo = min |x - c|^2 / r^2`, with noise on top.
 
     Parameters
     ----------
