@@ -20,6 +20,9 @@ _NEEDS: dict[str, tuple[tuple[str, str], ...]] = {
     "winding": (),
     "distance": (),
     "smoothed": (),
+    "laplace": (),
+    "p_laplace": (),
+    "walks": (("torch", "learn"), ("safetensors", "learn")),
 }
 
 
