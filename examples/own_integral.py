@@ -52,21 +52,22 @@ class Perimeters(Problem):
         """Another library on the same job, a star in the chart."""
 
         def one(a: float, b: float) -> float:
-            return quad(lambda t: tau * np.hypot(a * np.sin(tau * t), b * np.cos(tau * t)), 0.0, 1.0, limit=200)[0]
+            return quad(lambda angle: np.hypot(a * np.sin(angle), b * np.cos(angle)), 0.0, tau)[0]
 
         return {"scipy.integrate.quad": lambda: np.array([[one(a, b)] for a, b in self.axes.tolist()])}
 
 
 def main(out: Path = Path("out"), ellipses: int = 2000) -> dict[str, float]:
-    """Draw error against samples and time; return the mean squared error of each method at 32 samples."""
+    """Draw error against samples and time; return the mean squared errors at 32 samples."""
     axes = np.random.default_rng(0).uniform(0.2, 1.0, (ellipses, 2))
     problem = Perimeters.of(axes)
 
     estimate = ng.integrate(problem, n=32, sampler="stratified", rule="trapezoid", replicates=8)
-    print(f"first ellipse: {estimate.value[0, 0]:.4f} +- {estimate.stderr[0, 0]:.4f}, {estimate.counts}")
+    print(f"first ellipse: {estimate.value[0, 0]:.4f} +- {estimate.stderr[0, 0]:.4f}")
+    print(estimate.counts)
 
-    methods = ["mc", "stratified", "trapezoid", "sobol+regression-3", "gauss-legendre", "grid+trapezoid"]
-    measured = ng.frontier(problem, methods, [4, 8, 16, 32], runs=4)
+    methods = ["mc", "stratified", "trapezoid", "sobol+regression-3", "gauss-legendre"]
+    measured = ng.frontier(problem, [*methods, "grid+trapezoid"], [4, 8, 16, 32], runs=4)
     out.mkdir(parents=True, exist_ok=True)
     measured.plot(out / "own_integral.png")
     return {row["method"]: row["mse"] for row in measured.table if row["n"] == 32}

@@ -23,7 +23,7 @@ ENDINGS = (".png", ".npy", ".vti", ".vtp")  # what `save_field` writes
 _BAR = 90  # pixels below the field for its colour bar
 _BAR_STYLE = {
     "color": "black",
-    "n_labels": 5,
+    "n_labels": 4,
     "fmt": "%.2g",
     "title_font_size": 22,
     "label_font_size": 18,
