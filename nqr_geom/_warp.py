@@ -42,11 +42,11 @@ def _without_driver_warning(start: Callable[[], None]) -> None:
 if TYPE_CHECKING:
     import warp as wp
 else:
-    _known = "warp" in sys.modules  # whoever has loaded Warp before has set it up to their liking
+    _known = "warp" in sys.modules  # whoever has loaded Warp before has set its log to their liking
     wp = check.require("warp", "render", "volumes and scenes")
     if not _known:
         wp.config.log_level = wp.LOG_WARNING  # no banner, no line for every kernel that is compiled
-        _without_driver_warning(wp.init)
+    _without_driver_warning(wp.init)  # loading does not start it; starting it twice does nothing
 
 __all__ = ["array", "launch", "wp"]
 

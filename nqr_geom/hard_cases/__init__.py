@@ -15,6 +15,9 @@ from nqr_geom.hard_cases.case import Case, Result
 
 __all__ = ["Case", "Result", "cases", "groups", "measure", "missing"]
 
+_LEARN = (("torch", "learn"), ("safetensors", "learn"))
+_RENDER = (("torch", "render"), ("warp", "render"))
+
 # Group -> the modules that its cases need beside the core, each with the extra that brings it.
 _NEEDS: dict[str, tuple[tuple[str, str], ...]] = {
     "winding": (),
@@ -22,7 +25,9 @@ _NEEDS: dict[str, tuple[tuple[str, str], ...]] = {
     "smoothed": (),
     "laplace": (),
     "p_laplace": (),
-    "walks": (("torch", "learn"), ("safetensors", "learn")),
+    "walks": _LEARN,
+    "transmittance": _RENDER,
+    "direct": _RENDER,
 }
 
 
@@ -67,8 +72,8 @@ def cases(group: str) -> list[Case]:
     >>> cases("winding")[0].measure().holds
     True
     """
-    for module, extra in _NEEDS[check.choice("group", group, groups())]:
-        check.require(module, extra, f"hard cases of {group!r}")
+    if (extra := missing(group)) is not None:
+        raise ImportError(f'hard cases of {group!r} need more than is installed: pip install "nqr-geom[{extra}]"')
     made: list[Case] = import_module(f"nqr_geom.hard_cases.{group}").cases()
     return made
 

@@ -111,7 +111,9 @@ def _closed(problem: TransmittanceProblem) -> Estimate:
     """The closed form of a homogeneous medium, or of none."""
     from nqr_geom.integrator.estimate import exactly
 
-    return replace(exactly(lambda: problem.reference()[:, 0], problem.name), effects=problem.effects)
+    depth = problem.closed_depth()
+    estimate = exactly(lambda: np.exp(-depth[:, 0]), problem.name)
+    return replace(estimate, inner=depth, effects=problem.effects)
 
 
 def _kernels(problem: TransmittanceProblem, estimate: Estimate, method: str) -> tuple[str, ...]:

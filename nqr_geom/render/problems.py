@@ -194,14 +194,20 @@ class TransmittanceProblem(Problem):
     def take(self, index: slice | Tensor) -> TransmittanceProblem:
         return replace(self, rays=self.rays.take(index), rows=self.rows[index])
 
+    def closed_depth(self) -> NDArray[np.float64]:
+        """Optical depths (B, 1) of rays through homogeneous media; 0 where there is no medium."""
+        if self.medium.kind != Homogeneous.kind:
+            return np.zeros((self.batch, 1))
+        density = self.medium.tensors["density"][self.rays.volume.long()]
+        return (density * self.rays.total)[:, None].cpu().numpy()
+
     def reference(self) -> NDArray[np.float64]:
         """True answers (B, 1): closed form in homogeneous media, else unbiased marches with 2048 queries on average.
 
         The error of these is some 1e-6 on the random clouds (`benchmarks/transmittance.py` measures it).
         """
         if self.medium.kind == Homogeneous.kind and not self.medium.noisy:
-            density = self.medium.tensors["density"][self.rays.volume.long()]
-            return torch.exp(-density * self.rays.total)[:, None].cpu().numpy()
+            return np.exp(-self.closed_depth())
         from nqr_geom.integrator.estimate import tiles
         from nqr_geom.render.unbiased import march
 

@@ -99,6 +99,14 @@ def test_a_warp_that_was_there_before_keeps_its_settings():
     assert run(code).stdout.endswith("True\n")
 
 
+def test_a_warp_that_was_loaded_but_not_started_is_started():
+    code = (
+        "import warp\nfrom nqr_geom import render\nball = render.Spheres([[0, 0, 0]], [1.0])\n"
+        "print(render.transmittance(ball, [[-5, 2, 0]], [[1, 0, 0]], 9.0))"
+    )
+    assert run(code).stdout.endswith("[1.]\n")
+
+
 def test_a_missing_warp_is_one_clear_sentence():
     code = (
         "import sys; sys.modules['warp'] = None\ntry: import nqr_geom._warp\nexcept ImportError as error: print(error)"
