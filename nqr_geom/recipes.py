@@ -149,6 +149,20 @@ RECIPES: dict[str, Recipe] = {
             largest=128,
         ),
         Recipe(
+            name="laplace-spread",
+            problem="laplace",
+            family=laplace_batch,
+            base="uniform",
+            consistent="walk-fit",  # plain means of walks that avoid each other are biased
+            config=INetConfig(
+                _WALK, layers=2, heads=4, expansion=2, weights="additive", unit_mass=True, beside=_WALK.dim
+            ),
+            sees=_WALK_SEES,
+            extra=WALK_TOKENS,
+            designs=("walk-spread",),
+            largest=128,
+        ),
+        Recipe(
             name="p-laplace",
             problem="p-laplace",
             family=p_laplace_batch,

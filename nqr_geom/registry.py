@@ -114,6 +114,13 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             adaptive=True,
         ),
         Entry(
+            "walk-spread",
+            "nqr_geom.wos.spread:WalkSpread",
+            "walks one after the other, towards boundary that those before have not met",
+            needs="laplace",
+            adaptive=True,
+        ),
+        Entry(
             "curve-refine",
             _CURVES + "structured:CurveRefine",
             "piece ends and middles, then the gap that matters most to the query",
@@ -328,7 +335,7 @@ ALIASES: dict[str, str] = {
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",
-    "laplace:structured": "latin-hypercube+walk-fit",
+    "laplace:structured": "walk-spread+walk-fit",
     "laplace:wos-rqmc": "array-rqmc+mc",
     "laplace:wos-lhs": "latin-hypercube+mc",
     "laplace:inet": "latin-hypercube+inet-laplace-uniform",

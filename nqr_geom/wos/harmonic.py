@@ -20,7 +20,7 @@ from numba import njit
 __all__ = ["harmonic_measure"]
 
 _CLEAR = 1.0  # centres farther apart than this many times both lengths: two terms of the expansion suffice
-_LOST = 1e-9  # a pivot below this is no measure's
+_LOST = 1e-3  # a panel with a smaller pivot lies on others
 
 # Gauss-Legendre on [-1/2, 1/2]: four points for neighbours, two for others that are close.
 _FOUR = (-0.4305681557970263, -0.16999052179242815, 0.16999052179242815, 0.4305681557970263)
@@ -97,7 +97,7 @@ def _fill(mx, my, ex, ey, square, matrix):  # type: ignore[no-untyped-def]
 
 @_sums
 def _factor(matrix):  # type: ignore[no-untyped-def]
-    """Cholesky factor in the lower half, in place; False where the matrix is not positive definite."""
+    """Cholesky factor in the lower half, in place; a panel that lies on those before it gets a row of zeros."""
     m = len(matrix)
     for i in range(m):
         row = matrix[i]
@@ -111,10 +111,10 @@ def _factor(matrix):  # type: ignore[no-untyped-def]
         for k in range(i):
             total += row[k] * row[k]
         pivot = row[i] - total
-        if not pivot > _LOST:
-            return False
-        row[i] = 1.0 / math.sqrt(pivot)  # the diagonal holds inverses: no division later
-    return True
+        if pivot > _LOST:
+            row[i] = 1.0 / math.sqrt(pivot)  # the diagonal holds inverses: no division later
+        else:
+            row[: i + 1] = 0.0
 
 
 @_sums
@@ -136,7 +136,7 @@ def _solve(matrix, right):  # type: ignore[no-untyped-def]
 
 @_sums
 def harmonic_measure(ends, x, y, scale, matrix, work, out):  # type: ignore[no-untyped-def]
-    """Measure of each panel seen from (x, y); False where the system cannot be solved.
+    """Measure of each panel seen from (x, y).
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def harmonic_measure(ends, x, y, scale, matrix, work, out):  # type: ignore[no-u
     Returns
     -------
     lost : float
-        Mass that had to be cut off below zero; infinite where there is no answer.
+        Mass that had to be cut off below zero.
     """
     m = len(ends)
     matrix = matrix[:m]
@@ -165,8 +165,7 @@ def harmonic_measure(ends, x, y, scale, matrix, work, out):  # type: ignore[no-u
         ex[j], ey[j] = scale * (ends[j, 2] - ends[j, 0]), scale * (ends[j, 3] - ends[j, 1])
         square[j] = ex[j] * ex[j] + ey[j] * ey[j]
     _fill(mx, my, ex, ey, square, matrix)
-    if not _factor(matrix):
-        return np.inf
+    _factor(matrix)
     for j in range(m):
         out[j], ones[j] = -_mean_log(mx[j], my[j], ex[j], ey[j], square[j], 0.0, 0.0), 1.0
     _solve(matrix, out)

@@ -195,10 +195,13 @@ class LaplaceProblem(WalkProblem):
     def _closest(self, state: WalkState) -> tuple[Tensor, Tensor, Tensor]:
         """The closest boundary point (B, N, 2) of each walk's position, its arc length and its value, (B, N)."""
         edge, t = state.edge.numpy(), state.t.numpy()
-        edges = self.geometry.edges
-        corner = edges[edge, :2] + t[..., None] * edges[edge, 2:4]
         arc = self._arcs[edge, 0] + t * self._arcs[edge, 1]
-        return torch.from_numpy(corner), torch.from_numpy(arc), torch.from_numpy(self._values(edge, t))
+        return self.corner(state), torch.from_numpy(arc), torch.from_numpy(self._values(edge, t))
+
+    def corner(self, state: WalkState) -> Tensor:
+        """The closest boundary point (B, N, 2) of each walk's position."""
+        edges = self.geometry.edges[state.edge.numpy()]
+        return torch.from_numpy(edges[..., :2] + state.t.numpy()[..., None] * edges[..., 2:4])
 
     @cached_property
     def _arcs(self) -> NDArray[np.float64]:
@@ -262,9 +265,10 @@ class LaplaceProblem(WalkProblem):
     def step(self, state: WalkState, x: Tensor) -> WalkState:
         """Jump onto the largest circle in direction 2 pi x, where the walk has not ended."""
         seen = torch.cat(list(self.observe(state).values()), dim=-1)
-        return replace(self._jump(state, x), history=(*state.history, seen))
+        return replace(self.jump(state, x), history=(*state.history, seen))
 
-    def _jump(self, state: WalkState, x: Tensor) -> WalkState:
+    def jump(self, state: WalkState, x: Tensor) -> WalkState:
+        """A step that leaves nothing in the history."""
         turn = 2.0 * math.pi * x
         jump = state.distance[..., None] * torch.stack([turn.cos(), turn.sin()], dim=-1)
         position = torch.where(state.alive[..., None], state.position + jump, state.position)

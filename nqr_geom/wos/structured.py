@@ -27,7 +27,8 @@ from nqr_geom.integrator.sums import row_mean
 from nqr_geom.wos.harmonic import harmonic_measure
 from nqr_geom.wos.panels import panels_of
 from nqr_geom.wos.rebuild import parts_of, room
-from nqr_geom.wos.record import SEEN
+from nqr_geom.wos.record import SEEN, VALUE
+from nqr_geom.wos.tokens import boundary_values
 
 __all__ = ["Fit", "WalkFit", "fitted"]
 
@@ -184,7 +185,8 @@ class WalkFit(Rule):
     least : float
         Distances from the query below this part of the nearest sample's count as this.
     doubt : float
-        Where more measure than this had to be cut off below zero, the walks' mean is given instead, and flagged.
+        Where more measure than this had to be cut off below zero, the mean of the walks in uniform directions is given
+        instead, and flagged.
 
     References
     ----------
@@ -212,20 +214,30 @@ class WalkFit(Rule):
     def combine(self, samples: Samples) -> Combination:
         self._need_one_technique(samples)
         batch, n = samples.x.shape[:2]
-        steps = samples.feature("steps", self.name).reshape(batch, n, -1, sum(SEEN.values()))
+        steps = samples.feature("steps", self.name).reshape(batch, n, -1, sum(SEEN.values())).clone()
         end, loops = samples.feature("end", self.name)[:, :, 0], samples.feature("loops", self.name)[:, 0, 0]
-        value = samples.value[:, :, 0, 0]
-        fit = fitted(
-            *(tensor.cpu().numpy() for tensor in (steps, end, value, loops)),
-            step=self.step,
-            fade=self.fade,
-            least=self.least,
-        )
-        answer = torch.from_numpy(fit.value).to(value)
-        plain = torch.from_numpy(~(fit.lost <= self.doubt)).to(value.device)
-        return Combination(torch.ones_like(samples.value), _offset(answer, plain, value), plain)
+        value, known = samples.value[:, :, 0], boundary_values(samples)[:, :, 0]  # (B, N, C) and (B, N, C, D)
+        weights, offsets = _plain_weights(samples), []
+        for channel in range(value.shape[2]):
+            steps[..., VALUE] = known[:, :, channel]
+            fit = fitted(
+                *(tensor.cpu().numpy() for tensor in (steps, end, value[..., channel], loops)),
+                step=self.step,
+                fade=self.fade,
+                least=self.least,
+            )
+            plain = torch.from_numpy(~(fit.lost <= self.doubt)).to(value.device)
+            # What to add to the plain mean: nothing where that is the answer.
+            answer = torch.from_numpy(fit.value).to(value)
+            offsets.append(torch.where(plain, 0.0, answer - row_mean(weights * value[..., channel])))
+        whole = weights[..., None, None].expand_as(samples.value)
+        return Combination(whole, torch.stack(offsets, dim=1), plain)
 
 
-def _offset(answer: Tensor, plain: Tensor, value: Tensor) -> Tensor:
-    """What to add to the plain mean, (B, 1): nothing where that is the answer."""
-    return torch.where(plain, 0.0, answer - row_mean(value))[:, None]
+def _plain_weights(samples: Samples) -> Tensor:
+    """Weights (B, N) of the plain mean: of all walks, or of the uniform ones where a sampler prefers directions."""
+    if samples.pdf is None:
+        return torch.ones_like(samples.value[:, :, 0, 0])
+    uniform = (samples.pdf[..., 0] == 1.0).double()
+    share = uniform.mean(dim=1, keepdim=True)
+    return torch.where(share > 0.0, uniform / share, 1.0)

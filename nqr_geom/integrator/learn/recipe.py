@@ -109,8 +109,10 @@ class Recipe:
 def draw_samples(problem: Problem, designs: tuple[str, ...], n: int, stream: Stream) -> Samples:
     """Samples of all integrals, each by the design that its global row modulo their number names.
 
-    The densities are those of uniform points; a network is told nothing of the design but the points themselves.
+    Of several designs, all are fixed and uniform; a network is told nothing of the design but the points themselves.
     """
+    if len(designs) == 1:
+        return registry.make("sampler", designs[0]).draw(problem, n, stream)
     x = torch.empty(problem.batch, n, problem.dim, dtype=torch.float64, device=problem.rows.device)
     for k, name in enumerate(designs):
         part = problem.rows % len(designs) == k
