@@ -25,6 +25,7 @@ _NEEDS: dict[str, tuple[tuple[str, str], ...]] = {
     "smoothed": (),
     "laplace": (),
     "p_laplace": (),
+    "rules": _LEARN,
     "walks": _LEARN,
     "transmittance": _RENDER,
     "direct": _RENDER,
