@@ -24,6 +24,7 @@ _PUBLIC = {
     "laplace_gradient": "nqr_geom.gradients",
     "models": "nqr_geom.api",
     "problems": "nqr_geom.problems",
+    "report": "nqr_geom.reporting.report",
     "rules": "nqr_geom.api",
     "samplers": "nqr_geom.api",
     "sd": "nqr_geom.api",
@@ -47,6 +48,7 @@ __all__ = [
     "laplace_gradient",
     "models",
     "problems",
+    "report",
     "rules",
     "samplers",
     "sd",
@@ -78,6 +80,7 @@ if TYPE_CHECKING:
     )
     from nqr_geom.curves.curve import Curve
     from nqr_geom.gradients import laplace_gradient
+    from nqr_geom.reporting.report import report
 
 
 def __getattr__(name: str) -> Any:

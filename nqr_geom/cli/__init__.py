@@ -3,7 +3,7 @@
 Each module holds one family of commands, which register with `app` when this package is imported.
 """
 
-from nqr_geom.cli import curves, health, measuring, pdes, rendering, training
+from nqr_geom.cli import curves, health, measuring, pdes, rendering, reporting, training
 from nqr_geom.cli._app import app, main
 
-__all__ = ["app", "curves", "health", "main", "measuring", "pdes", "rendering", "training"]
+__all__ = ["app", "curves", "health", "main", "measuring", "pdes", "rendering", "reporting", "training"]

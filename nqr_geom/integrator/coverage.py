@@ -59,6 +59,7 @@ def coverage(
     sizes: Sequence[int] = (32, 64, 128, 256, 512),
     runs: int = 500,
     seed: int = 0,
+    truth: NDArray[np.float64] | None = None,
 ) -> list[Coverage]:
     """Count how often 95% intervals hold the truth, by number of samples and by kurtosis.
 
@@ -74,6 +75,8 @@ def coverage(
         Independent runs, with seeds from `seed` on.
     seed : int
         Of the first run.
+    truth : (B, C) ndarray, optional
+        The true answers, where they are known already; by default the problem's reference.
 
     Returns
     -------
@@ -99,7 +102,7 @@ def coverage(
     runs = check.integer("runs", runs, low=2)
     seed = check.integer("seed", seed)
     sizes = [check.integer("sizes", n, low=2) for n in sizes]
-    truth = problem.reference()
+    truth = problem.reference() if truth is None else check.array("truth", truth, (problem.batch, problem.channels))
     if truth is None:
         raise ValueError(f"problem: expected one with a reference, {problem.name!r} has none")
     pair = registry.make("sampler", sampler), registry.make("rule", rule)

@@ -76,7 +76,8 @@ class Point:
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> Point:
         """The point that `dataclasses.asdict` made a dictionary of, also after a way through JSON."""
-        return cls(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
+        found: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in fields.items()}
+        return cls(**found)
 
 
 @dataclass(frozen=True)
