@@ -23,8 +23,12 @@ from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.p_training import P_TOKENS, p_laplace_batch
+from nqr_geom.render.gaps import VolumeGaps
+from nqr_geom.render.tokens import VOLUME_TOKENS
+from nqr_geom.render.training import transmittance_batch
 from nqr_geom.toy.gaps import ToyGaps
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
+from nqr_geom.wos.steps import LaplaceWalks
 from nqr_geom.wos.tokens import WALK_TOKENS
 from nqr_geom.wos.training import laplace_batch
 
@@ -39,6 +43,7 @@ _CURVE = TokenConfig(
 
 # The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
 _SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
+_VOLUME = TokenConfig(extra=VOLUME_TOKENS.size, unit=1.0)  # an optical depth of 1 is what counts
 _WALK = TokenConfig(dim=12, frequencies=0, extra=WALK_TOKENS.size, blind=True)
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
@@ -134,6 +139,19 @@ RECIPES: dict[str, Recipe] = {
             huber=8.0,
         ),
         Recipe(
+            name="transmittance-uniform",
+            problem="transmittance",
+            family=transmittance_batch,
+            base="uniform",
+            consistent="trapezoid",
+            config=INetConfig(_VOLUME, offset=True, positive=True),  # where nothing absorbs, nothing is guessed
+            sees=("t", "u_geo", "u_fbm", "slope", "bend", "length", "optical_length", "noise"),
+            extra=VOLUME_TOKENS,
+            sizes=((24, 0.75), (48, 0.1), (16, 0.1), (8, 0.05)),
+            designs=(*("uniform-jitter",) * 5, "stratified", "random"),  # the last has most of the error, and no use
+            largest=256,  # beyond, plain marching has nothing left to learn from
+        ),
+        Recipe(
             name="laplace-uniform",
             problem="laplace",
             family=laplace_batch,
@@ -189,6 +207,7 @@ RECIPES: dict[str, Recipe] = {
 # What a sampling network reads of a sample by itself.
 _TOY_SAMPLE = TokenConfig((Feature("derivative", "scalar"), Feature("piece", "index", levels=5)), unit=1.0)
 _CURVE_SAMPLE = TokenConfig((Feature("piece", "index", levels=6), Feature("normal", "direction", 2)), unit=1.0)
+_VOLUME_SAMPLE = TokenConfig((Feature("u_geo", "scalar"), Feature("u_fbm", "scalar")), unit=1.0)
 _CENTRE = (0.001,) * 4 + (0.496,) * 2 + (0.001,) * 4
 _MIDDLE = (0.04,) * 3 + (0.19,) * 4 + (0.04,) * 3
 
@@ -223,6 +242,13 @@ JOINT: dict[str, JointRecipe] = {
             CurveGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
+        _pair(  # the sampler begins as walk-spread
+            "laplace-nqr",
+            "laplace-spread",
+            SNetConfig(_WALK, head="step", bins=24, floor=0.05),
+            LaplaceWalks,
+            (32, 1.0),
+        ),
         _pair(
             "sd-nqr",
             "sd-uniform",
@@ -230,13 +256,34 @@ JOINT: dict[str, JointRecipe] = {
             SdGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
+        JointRecipe(
+            # Samples that are placed where the density is in doubt say little by their plain mean.
+            replace(
+                RECIPES["transmittance-uniform"],
+                name="transmittance-nqr",
+                base="clamped-noise",
+                consistent="clamped-noise",
+                sizes=((24, 0.8), (16, 0.1), (48, 0.1)),
+            ),
+            "transmittance-uniform",
+            SNetConfig(_VOLUME_SAMPLE, sharpness=8.0, profile=_CENTRE),
+            VolumeGaps,
+            heads=False,
+        ),
     )
 }
 
 
 def folder(problem: str) -> Path:
     """Where the models of a problem lie."""
-    rooms = {"toy": "toy", "gwn": "curves", "sd": "curves", "laplace": "wos", "p-laplace": "wos"}
+    rooms = {
+        "toy": "toy",
+        "gwn": "curves",
+        "sd": "curves",
+        "laplace": "wos",
+        "p-laplace": "wos",
+        "transmittance": "render",
+    }
     room = rooms[check.choice("problem", problem, list(rooms))]
     return Path(__file__).parent / room / "models"
 

@@ -78,6 +78,7 @@ _MODELS = (
     ("gwn-student", "gwn", "small network for what gwn-hermite has not seen, compiled with it"),
     ("gwn-student-uniform", "gwn", "small network that corrects plain weights on curves, compiled"),
     ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
+    ("transmittance-uniform", "transmittance", "network that corrects plain ray marching through clouds"),
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
 )
@@ -332,6 +333,7 @@ ALIASES: dict[str, str] = {
     "transmittance:regression": "uniform-jitter+regression-3",
     "transmittance:jackknife": "jitter-pair+jackknife",
     "transmittance:structured": "noise-refine+clamped-noise",
+    "transmittance:inet": "uniform-jitter+inet-transmittance-uniform",
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",

@@ -20,7 +20,7 @@ from nqr_geom.integrator.samplers import Sampler, UniformJitter
 from nqr_geom.integrator.sums import row_sum
 from nqr_geom.streams import Stream
 
-__all__ = ["Between", "ClampedNoise", "NoiseRefine", "between", "in_order", "over_nodes"]
+__all__ = ["Between", "ClampedNoise", "Ends", "NoiseRefine", "between", "in_order", "inside", "over_nodes"]
 
 # Warp's gradient noise of frequency 1: variance, and decay of the correlation exp(-_DECAY r^2) (measured to 0.03).
 _VARIANCE = 0.0366
@@ -84,41 +84,64 @@ def _above(mean: Tensor, spread: Tensor) -> Tensor:
     return torch.where(spread > 1e-9, smooth, mean.clamp_min(0.0))
 
 
-def _pinned(left: Tensor, right: Tensor, noise: Tensor, value: Tensor, spread: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and variance of the noise between two samples; ``value`` (B, N+2) is padded with one unknown at each end."""
-    known = torch.ones_like(value)
-    known[:, 0] = known[:, -1] = 0.0
-    to_left = _correlation(left, noise) * known[:, :-1, None]
-    to_right = _correlation(right, noise) * known[:, 1:, None]
-    between = _correlation(left[..., :1] + right[..., :1], noise) * (known[:, :-1] * known[:, 1:])[..., None]
-    determinant = (1.0 - between.square()).clamp_min(1e-9)
-    from_left = (to_left - between * to_right) / determinant
-    from_right = (to_right - between * to_left) / determinant
-    mean = from_left * value[:, :-1, None] + from_right * value[:, 1:, None]
+@dataclass(frozen=True)
+class Ends:
+    """What is known at one end of G gaps, each (B, G); nothing where `known` is 0.
+
+    Parameters
+    ----------
+    u_geo, slope, bend, u_fbm : Tensor
+        Features of the sample there; infinity for `u_geo` and zero for the others where there is none.
+    known : Tensor
+        1 where there is a sample, 0 where there is none.
+    """
+
+    u_geo: Tensor
+    slope: Tensor
+    bend: Tensor
+    u_fbm: Tensor
+    known: Tensor
+
+
+def _pinned(
+    left: Tensor, right: Tensor, noise: Tensor, start: Ends, end: Ends, spread: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean and variance of the noise between the ends of gaps, at distances (B, G, nodes) from them."""
+    to_left = _correlation(left, noise) * start.known[..., None]
+    to_right = _correlation(right, noise) * end.known[..., None]
+    across = _correlation(left[..., :1] + right[..., :1], noise) * (start.known * end.known)[..., None]
+    determinant = (1.0 - across.square()).clamp_min(1e-9)
+    from_left = (to_left - across * to_right) / determinant
+    from_right = (to_right - across * to_left) / determinant
+    mean = from_left * start.u_fbm[..., None] + from_right * end.u_fbm[..., None]
     left_over = 1.0 - from_left * to_left - from_right * to_right
     return mean, spread.square() * left_over.clamp_min(0.0)
 
 
-def between(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> Between:
-    """The field between samples at sorted x (B, N) with features (B, N) each, except "noise" (B, 5)."""
-    zero, one = torch.zeros_like(x[:, :1]), torch.ones_like(x[:, :1])
-    edges = torch.cat([zero, x, one], dim=1)
-    width = edges.diff(dim=1)
-    at = (torch.arange(nodes, device=x.device, dtype=x.dtype) + 0.5) / nodes
-    step = width[..., None] * features["length"][:, :1, None]
+def inside(width: Tensor, start: Ends, end: Ends, length: Tensor, noise: Tensor, nodes: int = _NODES) -> Between:
+    """The field within gaps, of which one end at least is known.
+
+    Parameters
+    ----------
+    width : Tensor, (B, G)
+        Of the gaps, in x.
+    start, end : Ends
+        What is known at both ends.
+    length : Tensor, (B, 1)
+        What x = 1 is.
+    noise : Tensor, (B, 5)
+        Constants of the noise.
+    nodes : int
+        Midpoints in each gap.
+    """
+    at = (torch.arange(nodes, device=width.device, dtype=width.dtype) + 0.5) / nodes
+    step = (width * length)[..., None]
     left, right = step * at, step * (1.0 - at)
-
-    def ahead(name: str, pad: float) -> tuple[Tensor, Tensor]:
-        inner = torch.nn.functional.pad(features[name], (1, 1), value=pad)
-        return inner[:, :-1, None], inner[:, 1:, None]
-
-    (u0, u1), (s0, s1), (b0, b1) = ahead("u_geo", math.inf), ahead("slope", 0.0), ahead("bend", 0.0)
-    geometry = torch.minimum(u0 + left * (s0 + left * b0), u1 - right * (s1 - right * b1)).clamp_min(0.0)
-    noise = features["noise"]
+    ahead = start.u_geo[..., None] + left * (start.slope[..., None] + left * start.bend[..., None])
+    back = end.u_geo[..., None] - right * (end.slope[..., None] - right * end.bend[..., None])
+    geometry = torch.minimum(ahead, back).clamp_min(0.0)
     if bool((noise[:, 0] > 0.0).any()):
-        spread = _spread(noise)
-        value = torch.nn.functional.pad(features["u_fbm"], (1, 1))
-        mean, variance = _pinned(left, right, noise, value, spread)
+        mean, variance = _pinned(left, right, noise, start, end, _spread(noise))
     else:
         mean = variance = torch.zeros_like(geometry)
     field, sigma = 1.0 - geometry + mean, variance.sqrt()
@@ -127,6 +150,20 @@ def between(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> Betw
     safe = sigma.clamp_min(1e-9)
     free = torch.special.ndtr(field / safe) - torch.special.ndtr((field - 1.0) / safe)
     return Between(width, expected, variance * free)
+
+
+def between(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> Between:
+    """The field between samples at sorted x (B, N) with features (B, N) each, except "noise" (B, 5)."""
+    zero, one = torch.zeros_like(x[:, :1]), torch.ones_like(x[:, :1])
+    width = torch.cat([zero, x, one], dim=1).diff(dim=1)
+
+    def padded(column: Tensor, pad: float = 0.0) -> Tensor:
+        return torch.nn.functional.pad(column, (1, 1), value=pad)
+
+    columns = [padded(features["u_geo"], math.inf), *(padded(features[name]) for name in ("slope", "bend", "u_fbm"))]
+    columns.append(padded(torch.ones_like(x)))
+    start, end = Ends(*(c[:, :-1] for c in columns)), Ends(*(c[:, 1:] for c in columns))
+    return inside(width, start, end, features["length"][:, :1], features["noise"], nodes)
 
 
 def in_order(samples: Samples, rule: str) -> tuple[Tensor, dict[str, Tensor]]:

@@ -32,6 +32,11 @@ def drawn(name: str, n: int, rows: int, designs: tuple[str, ...] | None = None) 
     return batch, draw_samples(batch.problem, designs or recipe.designs, n, Stream(1))
 
 
+def usual(name: str) -> int:
+    """Samples that a model was mostly trained with, and for which the table of its card is."""
+    return max(rule_of(name).sizes, key=lambda pair: pair[1])[0]
+
+
 def designs_of(name: str) -> list[str]:
     """The designs that a model was trained on."""
     return [f"snet-{name}"] if name in JOINT else sorted(set(RECIPES[name].designs))
@@ -74,7 +79,7 @@ def test_the_table_of_the_card_is_what_comes_out(name: str) -> None:
     """On other integrals of the test split: within what a few thousand of them can tell."""
     model: Model = registry.make("model", name)
     for design in designs_of(name):
-        batch, samples = drawn(name, 32, 6000, (design,))
+        batch, samples = drawn(name, usual(name), 6000, (design,))
         errors = squared_errors(model, batch, samples).numpy()
         noise = errors.std() / np.sqrt(len(errors))
         assert abs(errors.mean() - model.card.table[design]["mse"]) < 5.0 * noise + 0.15 * errors.mean()
@@ -96,7 +101,7 @@ def test_the_blend_is_no_worse_than_either_part(name: str, n: int) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_models_improve_on_their_base(name: str) -> None:
     model: Model = registry.make("model", name)
-    batch, samples = drawn(name, 32, 6000)
+    batch, samples = drawn(name, usual(name), 6000)
     # Squared errors of Monte Carlo near a curve have no finite variance; cut at 1 they have, and it favours the base.
     mine, base = (squared_errors(rule, batch, samples).clamp_max(1.0) for rule in (model.learned, model.learned.base))
     gain = base - mine

@@ -209,9 +209,11 @@ def test_training_and_test_integrals_never_meet(name: str) -> None:
     family = RECIPES[name].family
     rows = torch.arange(50)
     answers = [family(rows, 0, split).answer for split in ("train", "validation", "test")]
+    told = [answer[(answer != 1.0).any(dim=1)] for answer in answers]  # nothing absorbs light where there is nothing
+    assert all(len(answer) > 10 for answer in told)
     for i in range(3):
         for j in range(i):
-            same = torch.isclose(answers[i][:, None], answers[j][None], rtol=1e-9, atol=0.0)
+            same = torch.isclose(told[i][:, None], told[j][None], rtol=1e-9, atol=0.0)
             assert not same.all(dim=-1).any()
     assert torch.equal(family(rows[10:20], 0, "train").answer, answers[0][10:20])
 

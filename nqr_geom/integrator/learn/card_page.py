@@ -36,7 +36,8 @@ def page(card: Card) -> str:
     if card.table:
         parts += [
             "## Measured",
-            "Squared errors on test integrals, at 32 samples. Ratios are of means, with 95% bootstrap intervals.",
+            f"Squared errors on test integrals, at {_usual(card)} samples. Ratios are of means, with 95% bootstrap "
+            "intervals.",
             _measured(card.table),
         ]
     parts += ["## As samples grow", f"The network counts this much, `{card.consistent}` the rest.", _shares(card)]
@@ -49,6 +50,12 @@ def _what(card: Card) -> str:
     base = "plain weights, W = 1 (the paper's form)" if card.base == "uniform" else f"the rule `{card.base}`"
     where = ", only where that is in doubt" if card.config.doubtful_only else ""
     return f"A network that corrects {base}{where}, for integrals of the problem `{card.problem}`."
+
+
+def _usual(card: Card) -> str:
+    """Number of samples that most of the training was with, for which tables are measured."""
+    shares: dict[str, float] = card.family.get("samples", {"32": 1.0})
+    return max(shares, key=lambda n: shares[n])
 
 
 def _facts(card: Card) -> list[tuple[str, str]]:

@@ -52,8 +52,8 @@ class INetConfig:
     growth : float
         Largest g.
     positive : bool
-        The integrals are known to be positive: where the corrected estimate is not, a model answers with its base and
-        says so. In training the clamp of Eq. 56 takes care of it.
+        The integrals are known not to be negative: where the corrected estimate is not positive, a model answers with
+        its base, and says so unless the base has seen nothing either. In training the clamp of Eq. 56 takes care of it.
     """
 
     tokens: TokenConfig = field(default_factory=TokenConfig)
@@ -179,7 +179,7 @@ def correct(
 
 
 def _kept_positive(mine: Combination, base: Combination, samples: Samples) -> Combination:
-    """The base's answer, and a flag, where a corrected estimate of a positive integral is not positive."""
+    """The base's answer, and a flag if that is not zero, where a corrected estimate is not positive."""
     wrong = ~(mine.estimate(samples) > 0.0).all(dim=1)  # (B,)
     offset = mine.offset
     if offset is not None:
@@ -187,7 +187,8 @@ def _kept_positive(mine: Combination, base: Combination, samples: Samples) -> Co
         shape = (-1, *[1] * (offset.ndim - 1))
         offset = torch.where(wrong.view(shape), before[:, None] if before.ndim < offset.ndim else before, offset)
     weights = torch.where(wrong[:, None, None, None], base.weights, mine.weights)
-    flags = wrong if mine.fallback is None else wrong | mine.fallback
+    gave_way = wrong & (base.estimate(samples) != 0.0).any(dim=1)
+    flags = gave_way if mine.fallback is None else gave_way | mine.fallback
     return replace(mine, weights=weights, offset=offset, fallback=flags)
 
 
