@@ -57,7 +57,7 @@ def trained(name: str, config: JointConfig, keep: Path) -> list[tuple[int, float
     return curve(folder)
 
 
-def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float) -> None:
+def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float, path: Path) -> None:
     """Error against iteration, one line a variant."""
     made = figure(7.0, 4.4)
     axes = made.add_subplot(
@@ -68,7 +68,7 @@ def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float) -> None
         axes.plot(at, monte_carlo / mse, color=colour, label=name, linestyle="--" if "frozen" in name else "-")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
-    save(made, DOCS / "joint-training.png")
+    save(made, path)
 
 
 def main() -> None:
@@ -94,7 +94,7 @@ def main() -> None:
     for row in rows:
         table.add_row(row["variant"], f"{row['first']:.2e}", f"{row['mse']:.2e}", f"{row['ratio']:.0f}")
     Console().print(table)
-    draw(curves, plain)
+    draw(curves, plain, DOCS / "joint-training.png")
     print(write("joint_training", rows, iterations=config.iterations, batch=config.batch, group=config.group,
                 every=config.every, monte_carlo=plain, curves=curves))  # fmt: skip
 

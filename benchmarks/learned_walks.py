@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from comparison import SEED, N, Pair, rows_of, show
+from comparison import SEED, N, Pair, rows_of, show, trained_sampler
 from learned import write_cards
 from numpy.typing import NDArray
 from shapes import write
 
-from nqr_geom import registry
 from nqr_geom.wos.boundary import solve
 from nqr_geom.wos.domain import Domain
 from nqr_geom.wos.families import queries
@@ -31,7 +30,8 @@ from nqr_geom.wos.problems import LaplaceProblem
 Floats = NDArray[np.float64]
 
 DESIGNS = ("random", "latin-hypercube")
-RULES = ("mc", "walk-fit", "inet-laplace-structured", "inet-laplace-uniform")
+RULES = ("mc", "walk-fit", "inet-laplace-uniform")
+AVOIDING = ("uniform", "walk-fit", "inet-laplace-uniform", "inet-laplace-spread")  # weights of 1/pdf are useless there
 PAPER = {("random", "inet-laplace-uniform"): 11.4, ("latin-hypercube", "inet-laplace-uniform"): 13.8,
          ("latin-hypercube", "mc"): 1.5}  # fmt: skip
 TOLERANCE = 1e-3  # of the boundary solver; on polygons of the family errors come out near 1e-9
@@ -75,9 +75,10 @@ def foreign(points: int) -> Iterator[tuple[str, LaplaceProblem]]:
 
 
 def pairs() -> list[Pair]:
-    """All designs with all rules that there are."""
-    known = {entry.name for entry in registry.entries("rule")}
-    return [(design, rule) for design in DESIGNS for rule in RULES if rule in known]
+    """All designs with all rules that suit them."""
+    made = [(design, rule) for design in DESIGNS for rule in RULES] + [("walk-spread", rule) for rule in AVOIDING]
+    joint = trained_sampler("laplace")
+    return made if joint is None else [*made, *((joint[0], rule) for rule in ("uniform", "walk-fit", joint[1]))]
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
     python benchmarks/p_walks.py [--quick]
 
-32 walks of at most 12 steps, random or Latin hypercube directions, held-out polygons of the family. The truth comes
+32 walks of at most 12 steps that avoid each other, held-out polygons of the family. The truth comes
 from finite elements; how far a coarser mesh is from it is told. "Bent" are the polygons where the exact solution for
 p = 2 errs by more than 1e-4 in the mean square.
 """
@@ -30,7 +30,7 @@ from nqr_geom.wos.families import polygons
 from nqr_geom.wos.measures import vertex_measures
 from nqr_geom.wos.problems import LaplaceProblem
 
-DESIGNS = ("random", "latin-hypercube")
+DESIGNS = ("walk-spread",)
 RULES = ("mc", "inet-laplace-uniform", "inet-p-laplace")
 BENT = 1e-4
 

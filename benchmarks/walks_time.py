@@ -28,8 +28,10 @@ from nqr_geom.wos.walk import walk
 
 Floats = NDArray[np.float64]
 
-METHODS = {"wos-lhs": ("latin-hypercube", "mc"), "structured": ("latin-hypercube", "walk-fit"),
-           "inet": ("latin-hypercube", "inet-laplace-uniform")}  # fmt: skip
+METHODS = {"wos-lhs": ("latin-hypercube", "mc"), "walk-fit on LHS": ("latin-hypercube", "walk-fit"),
+           "INet on LHS": ("latin-hypercube", "inet-laplace-uniform"),
+           **{name: registry.method(name, "laplace") for name in ("structured", "inet", "nqr")
+              if f"laplace:{name}" in registry.ALIASES}}  # fmt: skip
 
 
 def plain(problem: LaplaceProblem, n: int) -> Floats:

@@ -33,7 +33,7 @@ from nqr_geom.wos.walk import walk
 
 WALKS = 32
 METHODS = ("random+mc", "latin-hypercube+mc", "array-rqmc+mc", "random+walk-fit", "latin-hypercube+walk-fit",
-           "array-rqmc+walk-fit")  # fmt: skip
+           "walk-spread+walk-fit")  # fmt: skip
 LEARNED = ("inet", "nqr")
 
 
