@@ -14,7 +14,7 @@ __all__ = ["app", "error_console", "main", "out_console"]
 app = App(
     name="nqr-geom",
     version=ng.__version__,
-    help="Winding numbers and distances of curves you bring, and what accuracy costs in time.",
+    help="Winding numbers, distances, harmonic functions and light of what you bring, and what accuracy costs in time.",
     result_action="return_value",
 )
 out_console = Console(markup=False)

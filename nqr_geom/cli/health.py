@@ -33,6 +33,8 @@ def doctor(
         print(json.dumps({"healthy": not problems, "problems": problems, **sections}, indent=1))
         return 1 if problems else 0
     table = Table(box=box.SIMPLE_HEAD, show_header=False)
+    for overflow in ("ellipsis", "ellipsis", "fold"):  # paths are long, and wanted in full
+        table.add_column(overflow=overflow)
     seen = ""
     for finding in findings:
         if finding.section != seen and seen:
