@@ -20,17 +20,17 @@ Floats = NDArray[np.float64]
 
 ENDINGS = (".png", ".npy", ".vti", ".vtp")  # what `save_field` writes
 
-_BAR = 90  # pixels below the field for its colour bar
+_BAR = 110  # pixels below the field for its colour bar
 _BAR_STYLE = {
     "color": "black",
-    "n_labels": 4,
+    "n_labels": 5,
     "fmt": "%.2g",
     "title_font_size": 22,
     "label_font_size": 18,
     "position_x": 0.2,
     "position_y": 0.01,
     "width": 0.6,
-    "height": 0.07,
+    "height": 0.09,
 }
 
 
@@ -172,6 +172,7 @@ def draw_field(
             nan_opacity=0.0,
             scalar_bar_args={"title": name, **_BAR_STYLE},
         )
+        plotter.scalar_bar.SetVerticalTitleSeparation(8)  # pixels between title and labels
         if contours and top > low:
             levels = _image(window, values, name).contour(np.linspace(low, top, contours + 2)[1:-1], scalars=name)
             if levels.n_points:
