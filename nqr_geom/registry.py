@@ -86,6 +86,7 @@ _MODELS = (
 _PAIRS = (
     ("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),
     ("sd-nqr", "sd", "samples placed by a network for smoothed distances, and the network that weighs them"),
+    ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
 _WALKS = ("laplace",)  # problems whose samples are walks, a coordinate a step
@@ -334,6 +335,7 @@ ALIASES: dict[str, str] = {
     "transmittance:jackknife": "jitter-pair+jackknife",
     "transmittance:structured": "noise-refine+clamped-noise",
     "transmittance:inet": "uniform-jitter+inet-transmittance-uniform",
+    "transmittance:nqr": "snet-transmittance-nqr+inet-transmittance-nqr",
     "gwn:structured": "curve-refine+gwn-hermite",
     "sd:structured": "curve-refine+sd-hermite",
     "toy:structured": "toy-split+toy-hermite",

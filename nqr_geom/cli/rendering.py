@@ -65,7 +65,7 @@ def transmittance(
     method: Annotated[
         str,
         Parameter(
-            help="stratified, random, trapezoid, regression, jackknife, structured, ratio, track-length, "
+            help="stratified, random, trapezoid, regression, jackknife, structured, inet, nqr, ratio, track-length, "
             "unbiased-raymarching, or sampler+rule."
         ),
     ] = "stratified",

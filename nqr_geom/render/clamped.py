@@ -166,13 +166,19 @@ def between(x: Tensor, features: dict[str, Tensor], nodes: int = _NODES) -> Betw
     return inside(width, start, end, features["length"][:, :1], features["noise"], nodes)
 
 
+def _valid(noise: Tensor) -> Tensor:
+    """Constants (B, 5) within what `Noise` allows, so that no power of gain or lacunarity overflows."""
+    most = noise.new_tensor([1e100, 1e100, _OCTAVES, 1.0, 1e3])
+    return torch.minimum(noise, most)
+
+
 def in_order(samples: Samples, rule: str) -> tuple[Tensor, dict[str, Tensor]]:
     """x (B, N) in order and the features that go with it."""
     order = samples.x[..., 0].argsort(dim=1, stable=True)
     features = {}
     for name in _NEEDS:
         column = samples.feature(name, rule)[:, :, 0]
-        features[name] = column[:, 0] if name == "noise" else column[..., 0].gather(1, order)
+        features[name] = _valid(column[:, 0]) if name == "noise" else column[..., 0].gather(1, order)
     return samples.x[..., 0].gather(1, order), features
 
 

@@ -23,6 +23,7 @@ __all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct"]
 
 TILE_TOKENS = 256 * 32  # float32 products change with the batch size, so a network always sees this many tokens
 _LEAST_GROWTH = -30.0
+_NOTHING = 1e-3  # of a row's unit
 
 
 @dataclass(frozen=True)
@@ -178,8 +179,8 @@ def correct(
     return replace(base, weights=weights, offset=offset)
 
 
-def _kept_positive(mine: Combination, base: Combination, samples: Samples) -> Combination:
-    """The base's answer, and a flag if that is not zero, where a corrected estimate is not positive."""
+def _kept_positive(mine: Combination, base: Combination, samples: Samples, tokens: TokenConfig) -> Combination:
+    """The base's answer where a corrected estimate is not positive, and a flag if that answer is not nothing."""
     wrong = ~(mine.estimate(samples) > 0.0).all(dim=1)  # (B,)
     offset = mine.offset
     if offset is not None:
@@ -187,7 +188,7 @@ def _kept_positive(mine: Combination, base: Combination, samples: Samples) -> Co
         shape = (-1, *[1] * (offset.ndim - 1))
         offset = torch.where(wrong.view(shape), before[:, None] if before.ndim < offset.ndim else before, offset)
     weights = torch.where(wrong[:, None, None, None], base.weights, mine.weights)
-    gave_way = wrong & (base.estimate(samples) != 0.0).any(dim=1)
+    gave_way = wrong & (base.estimate(samples) > _NOTHING * standard(samples.value, tokens)[1][:, 0, 0]).any(dim=1)
     flags = gave_way if mine.fallback is None else gave_way | mine.fallback
     return replace(mine, weights=weights, offset=offset, fallback=flags)
 
@@ -236,7 +237,9 @@ class LearnedRule(Rule):
         else:
             raw = self._raw(samples)
         corrected = correct(raw, base, samples, self.net.config, self.extra)
-        return _kept_positive(corrected, base, samples) if self.net.config.positive else corrected
+        if not self.net.config.positive:
+            return corrected
+        return _kept_positive(corrected, base, samples, self.net.config.tokens)
 
     def _raw(self, samples: Samples) -> Tensor:
         """The network's outputs for every sample, (B, N, T, outputs).

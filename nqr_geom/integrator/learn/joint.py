@@ -50,17 +50,21 @@ class JointRecipe:
     rule : Recipe
         The integrator; its name is the pair's.
     begin : str
-        Recipe whose trained network the integrator begins with; the two differ in name and sizes only.
+        Recipe whose trained network the integrator begins with.
     sampler : SNetConfig
         The sampling network.
     view : type of Gaps or of Walks, optional
         What its head chooses among or sees.
+    heads : bool
+        Whether it begins with that network's heads, too: the two recipes then differ in name and sizes only. Without
+        them the integrator begins as its own base rule.
     """
 
     rule: Recipe
     begin: str
     sampler: SNetConfig
     view: type[Gaps] | type[Walks] | None = None
+    heads: bool = True
 
     @property
     def name(self) -> str:
@@ -182,7 +186,7 @@ def train_jointly(
         inet, snet = INet(recipe.rule.config), recipe.snet()
     base = validate(recipe, recipe.snet(), registry.make("rule", recipe.rule.consistent), config)
     if start_from is not None:
-        _adopt(inet, RunFolder(Path(start_from)), recipe.begin)
+        _adopt(inet, RunFolder(Path(start_from)), recipe.begin, recipe.heads)
     common = {"weight_decay": config.weight_decay, "keep": config.average, "clip": config.clip}
     integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, **common)
     sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, **common)
@@ -208,15 +212,18 @@ def train_jointly(
     return integrator.average, sampler.average
 
 
-def _adopt(net: INet, run: RunFolder, name: str) -> None:
-    """Take over the averaged weights of a run, heads included."""
+def _adopt(net: INet, run: RunFolder, name: str, heads: bool) -> None:
+    """Take over the averaged weights of a run, with or without the heads."""
     if not run.checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(run.checkpoint.parent)!r}")
     state = torch.load(run.checkpoint, weights_only=True)
     found = json.loads(state["identity"])["recipe"]
     if found != name:
         raise ValueError(f"start_from: expected a run of {name!r}, found one of {found!r}")
-    net.load_state_dict(state["average"])
+    weights = state["average"]
+    if not heads:
+        weights |= {key: tensor for key, tensor in net.state_dict().items() if key.startswith("head.")}
+    net.load_state_dict(weights)
 
 
 def _identity(recipe: JointRecipe, config: JointConfig) -> dict[str, Any]:
