@@ -18,7 +18,7 @@ __all__ = ["report"]
 def report(
     *,
     quick: Annotated[bool, Parameter(help="About two minutes on two idle cores; what is done without --full.")] = False,
-    full: Annotated[bool, Parameter(help="More methods, larger budgets, narrow intervals: about an hour.")] = False,
+    full: Annotated[bool, Parameter(help="More methods, larger budgets, narrow intervals; takes long.")] = False,
     apps: Annotated[
         list[str] | None,
         Parameter(help="Some of gwn, sd, toy, laplace, p-laplace, transmittance, direct.", consume_multiple=True),

@@ -20,14 +20,14 @@ _PASSES, _QUERIES = 16, 24
 
 
 def _in_turns(one: Callable[[], Any], two: Callable[[], Any], repeats: int) -> tuple[float, float]:
-    """Best wall seconds of two jobs that take turns, after a first round that compiles."""
+    """Least processor seconds of two jobs that take turns, after a first round that compiles: others may be busy."""
     spent: tuple[list[float], list[float]] = ([], [])
     for turn in range(repeats + 1):
         for job, times in zip((one, two), spent, strict=True):
-            start = time.perf_counter()
+            start = time.process_time()
             job()
             if turn:
-                times.append(time.perf_counter() - start)
+                times.append(time.process_time() - start)
     return min(spent[0]), min(spent[1])
 
 

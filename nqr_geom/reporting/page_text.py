@@ -13,7 +13,7 @@ def shown(value: float | None, digits: int = 3) -> str:
     Examples
     --------
     >>> shown(1234.5), shown(0.01234), shown(3.2e9), shown(None)
-    ('1,230', '0.0123', '3.2e9', '')
+    ('1,230', '0.0123', '3.20e9', '')
     """
     if value is None:
         return ""

@@ -52,7 +52,7 @@ def report(
         Folder for `report.html`, `report.json` and the cells; made if it is not there. A folder of another
         configuration (mode, seed, input, version, machine) is refused.
     mode : {"quick", "full"}
-        About two minutes on two idle cores, or about an hour with more methods, larger budgets and narrow intervals.
+        About two minutes on two idle cores, or far longer with more methods, larger budgets and narrow intervals.
     apps : sequence of str, optional
         Some of "gwn", "sd", "toy", "laplace", "p-laplace", "transmittance", "direct"; by default all that fit.
     input : str, path, Curve, Scene, Volume or (n, 2) array_like, optional

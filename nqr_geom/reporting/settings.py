@@ -1,4 +1,4 @@
-"""How much is measured: a quick report takes about two minutes on two idle cores, a full one about an hour."""
+"""How much is measured: a quick report takes about two minutes on two idle cores, a full one takes long."""
 
 from __future__ import annotations
 
@@ -80,9 +80,9 @@ MODES = {
         always=32,
         everything=False,
         most_learned=32,
-        toy=512,
+        toy=256,
         shapes=8,
-        grid=10,
+        grid=8,
         polygons=4,
         points=96,
         volumes=6,
@@ -97,9 +97,9 @@ MODES = {
         bar_sizes=(32, 128),
         bar_runs=40,
         bar_integrals=128,
-        effect_pixels=48,
-        effect_repeats=3,
-        hard_seconds=3.0,
+        effect_pixels=64,
+        effect_repeats=9,
+        hard_seconds=4.0,
     ),
     "full": Sizes(
         budgets=(4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048),
