@@ -151,6 +151,11 @@ class LaplaceProblem(WalkProblem):
         return self.shape.cpu().numpy()
 
     @property
+    def outline(self) -> NDArray[np.int64]:
+        """Which polygon of `geometry` each query walks in, (B,)."""
+        return self.shape.numpy()
+
+    @property
     def schema(self) -> Schema:  # type: ignore[override]
         """Section 6.4's sequence of every step, how and where the walk ended, and where loops of the boundary end.
 
@@ -170,7 +175,7 @@ class LaplaceProblem(WalkProblem):
     def _search(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Closest edge, parameter, distance and whether outside the shell, (B, N) each."""
         points = np.ascontiguousarray(position.numpy().reshape(-1, 2))
-        of = np.repeat(self.shape.numpy(), position.shape[1])
+        of = np.repeat(self.outline, position.shape[1])
         m = len(points)
         edge, t, square = np.empty(m, np.int64), np.empty(m), np.empty(m)
         edges, size, grid, shape, first, items = self.geometry

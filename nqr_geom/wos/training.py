@@ -71,9 +71,13 @@ class ManyPolygons(LaplaceProblem):
 
     arcs: Floats = field(default_factory=lambda: np.zeros((0, 2)))
 
+    @property
+    def outline(self) -> NDArray[np.int64]:
+        return self.shape.numpy() % len(self.geometry.shape)
+
     def walked(self, x: Tensor) -> tuple[Record, NDArray[np.int64], dict[str, Tensor]]:
         """Walks in directions x, the edges they met counted within their polygon, and features without values."""
-        shape = self.shape.numpy() % len(self.geometry.shape)
+        shape = self.outline
         walks = record(self.geometry, self.arcs, shape, self.points.numpy(), x.numpy(), self.epsilon)
         around = self.arcs.reshape(-1, VERTICES, 2)[shape, -1].sum(axis=1)
         features = {
