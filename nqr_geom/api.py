@@ -58,7 +58,6 @@ def _answer(
     curve: Curve,
     method: str,
     n: int,
-    tol: float | None,
     seed: int,
     rows: ArrayLike | None,
     full_output: bool,
@@ -81,14 +80,7 @@ def _answer(
     made = problem(parts if len(parts) > 1 else curve)
     if rows is not None:
         made = keyed(made, check.rows(rows, made.batch // len(parts)))
-    if tol is None:
-        estimate = integrate(made, n, sampler=sampler, rule=rule, seed=seed)
-    else:
-        from nqr_geom.integrator.plan import until
-
-        pair = registry.make("sampler", sampler), registry.make("rule", rule)
-        wanted = check.number("tol", tol, low=0.0, open_low=True) / len(parts)
-        estimate = until(made, *pair, wanted, n, seed=seed)
+    estimate = integrate(made, n, sampler=sampler, rule=rule, seed=seed)
     if len(parts) > 1:
         from nqr_geom.integrator.estimate import folded
 
@@ -104,6 +96,7 @@ def gwn(
     method: str = "exact",
     n: int = 32,
     tol: float | None = None,
+    budget: float | None = None,
     seed: int = 0,
     rows: ArrayLike | None = None,
     full_output: bool = False,
@@ -128,7 +121,12 @@ def gwn(
     n : int
         Samples per query of a sampled method; for trained ones per query and six pieces.
     tol : float, optional
-        Absolute error to reach: a sampled method doubles n until repetitions agree that well.
+        Absolute error to reach in place of n: "auto" takes the method that should get there at the least cost, by
+        measured models of costs and errors; a method that is named takes as many samples as that needs. Bounds on the
+        error are checked on the way; the full output's `error` has them, and its `plan` what was done and why.
+    budget : float, optional
+        Seconds to spend in place of n: the most accurate answer within that time. Imports, compilation and a first call
+        for one query do not count. With `tol` too, the cheapest answer within `tol`, as long as the time lasts.
     seed : int
         Seed of a sampled method; the same seed gives the same answer.
     rows : (m,) array_like of int, optional
@@ -170,7 +168,13 @@ def gwn(
 
         return problems.gwn(curve, points)
 
-    return _answer(exact, problem, "gwn", curve, method, n, tol, seed, rows, full_output)
+    if tol is not None or budget is not None:
+        from nqr_geom.plans import planned_curve
+
+        asked: dict[str, Any] = {"method": method, "tol": tol, "budget": budget, "seed": seed, "rows": rows}
+        estimate = planned_curve("gwn", curve, points, exact, problem, **asked)
+        return estimate if full_output else estimate.value[:, 0]
+    return _answer(exact, problem, "gwn", curve, method, n, seed, rows, full_output)
 
 
 @by_chunks("points")
@@ -182,6 +186,7 @@ def sd(
     method: str = "exact",
     n: int = 32,
     tol: float | None = None,
+    budget: float | None = None,
     seed: int = 0,
     rows: ArrayLike | None = None,
     full_output: bool = False,
@@ -197,7 +202,7 @@ def sd(
     alpha : float
         Sharpness, > 0, in units of one over length. The answer lies between d_min - ln(L)/alpha and
         d_max - ln(L)/alpha for a curve of length L.
-    method, n, tol, seed, rows, full_output
+    method, n, tol, budget, seed, rows, full_output
         As for `gwn`. "exact" is adaptive quadrature to about 1e-10. "inet" is trained for alpha = 35 on shapes in
         [-1, 1]^2 and for alpha between an eighth and four times that; elsewhere it gives way to the trapezoid and the
         Estimate says so.
@@ -226,7 +231,13 @@ def sd(
 
         return smooth.sd(curve, points, alpha=alpha)
 
-    return _answer(exact, problem, "sd", curve, method, n, tol, seed, rows, full_output)
+    if tol is not None or budget is not None:
+        from nqr_geom.plans import planned_curve
+
+        asked: dict[str, Any] = {"method": method, "tol": tol, "budget": budget, "seed": seed, "rows": rows}
+        estimate = planned_curve("sd", curve, points, exact, problem, **asked)
+        return estimate if full_output else estimate.value[:, 0]
+    return _answer(exact, problem, "sd", curve, method, n, seed, rows, full_output)
 
 
 @by_chunks("points")
@@ -337,6 +348,8 @@ def integrate(
     rule: str = "mc",
     method: str | None = None,
     replicates: int = 1,
+    tol: float | None = None,
+    budget: float | None = None,
     seed: int = 0,
 ) -> Estimate:
     """Estimate a batch of integrals with any sampler and any rule.
@@ -350,9 +363,12 @@ def integrate(
     sampler, rule : str
         Names from `samplers()` and `rules()`. What does not fit is refused with the reason.
     method : str, optional
-        An alias such as "structured", or "sampler+rule", instead of the two.
+        An alias such as "structured", or "sampler+rule", instead of the two. With `tol` or `budget` also "auto": the
+        best of those whose cost and error are measured on this kind of problem.
     replicates : int
         Independent repetitions to average; from 8 on they give a standard error.
+    tol, budget : float, optional
+        Absolute error to reach, seconds to spend, or both, in place of n and replicates, as for `gwn`.
     seed : int
         The same seed gives the same answer, whatever part of the batch is asked for.
 
@@ -370,8 +386,16 @@ def integrate(
     _need_torch("sampled methods")
     from nqr_geom.integrator.estimate import run
 
-    if method is not None:
+    planned = tol is not None or budget is not None
+    if method is not None and not (planned and method == "auto"):
         sampler, rule = registry.method(method, problem.name)
+    if planned:
+        from nqr_geom.plans import planned_problem
+
+        pair = None if method == "auto" else (sampler, rule)
+        n, seed = check.integer("n", n, low=1), check.integer("seed", seed)
+        name = method or f"{sampler}+{rule}"
+        return planned_problem(problem, method=name, pair=pair, n=n, tol=tol, budget=budget, seed=seed)
     made = registry.make("sampler", sampler), registry.make("rule", rule)
     return run(problem, *made, n, replicates=replicates, seed=seed)
 

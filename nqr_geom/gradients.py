@@ -79,7 +79,8 @@ def laplace_gradient(
     >>> bool(abs(gradient[0] - [3.0, 0.0]).max() < 0.1)
     True
     """
-    from nqr_geom.pde import _estimate, inside_of, scattered
+    from nqr_geom.pde import inside_of, scattered
+    from nqr_geom.pde_walks import walked
     from nqr_geom.wos.domain import Domain
     from nqr_geom.wos.gradient import gradient
 
@@ -103,6 +104,6 @@ def laplace_gradient(
     statistics, counts = gradient(values, framed[inside], keys, n, variates, stream, epsilon, max_steps)
     seconds = time.perf_counter() - start
     what = {"sampler": "random", "rule": f"gradient, {variates}", "seeds": (seed,)}
-    estimate = _estimate(statistics.mean, statistics, statistics.stderr, n, counts, seconds, **what)
+    estimate = walked(statistics.mean, statistics, statistics.stderr, n, counts, seconds, **what)
     estimate = scattered(estimate, inside)
     return estimate if full_output else estimate.value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +21,9 @@ __all__ = ["METHODS", "p_harmonic", "solve_p_laplace"]
 METHODS = ("fem", "inet")
 
 _TRIANGLES = 8000
+_COARSEST, _FINEST = 800, 400_000
 _LEARNED_P = 3.0
-_LEARNED = ("latin-hypercube", "inet-p-laplace")
+_LEARNED = ("walk-spread", "inet-p-laplace")
 
 
 def solve_p_laplace(
@@ -33,6 +35,7 @@ def solve_p_laplace(
     method: str = "fem",
     n: int = 32,
     tol: float | None = None,
+    budget: float | None = None,
     outside: str = "raise",
     seed: int = 0,
     full_output: bool = False,
@@ -58,6 +61,9 @@ def solve_p_laplace(
     tol : float, optional
         Refine until the estimated absolute error at the points is at most this. By default about 8000 triangles are
         used, and ``plan["error"]`` of the full output says how good that is. Not for "inet".
+    budget : float, optional
+        Seconds to spend: finer and finer meshes, as long as the next one should be done in time, or `tol` is reached.
+        Imports and compilation do not count. Not for "inet".
     outside : {"raise", "nan"}
         What to do with points outside the polygon.
     seed : int
@@ -91,13 +97,21 @@ def solve_p_laplace(
     check.choice("outside", outside, ["raise", "nan"])
     n, seed = check.integer("n", n, low=1), check.integer("seed", seed)
     if method == "inet":
+        if budget is not None:
+            raise ValueError(f"budget: expected None with method 'inet', whose walks are said by n, got {budget!r}")
         estimate = _by_network(polygon, boundary, points, p, n, tol, outside, seed)
         return estimate if full_output else estimate.value[:, 0]
     places = check.array("points", points, ("m", 2))
     told: dict[str, Any] = {}
+    if budget is not None:
+        budget = check.number("budget", budget, low=0.0, open_low=True)
 
     def answer() -> NDArray[np.float64]:
-        found = p_harmonic(polygon, boundary, p, tol=tol, points=places, outside=outside)
+        if budget is None:
+            found = p_harmonic(polygon, boundary, p, tol=tol, points=places, outside=outside)
+        else:
+            found, levels = _in_time(polygon, boundary, p, tol, budget, places, outside)
+            told.update(levels=levels)
         values = found(places, outside=outside)
         if full_output:
             error = float(np.nan_to_num(found.error_at(places, outside=outside)).max(initial=0.0))
@@ -109,8 +123,39 @@ def solve_p_laplace(
     from nqr_geom.integrator.estimate import exactly
 
     estimate = exactly(answer, "p-laplace")
-    plan = {**estimate.plan, "rule": "fem", "method": method, "p": float(p), "tol": tol, **told}
-    return replace(estimate, stderr=None, stages={"all": estimate.seconds}, plan=plan)
+    plan = {**estimate.plan, "rule": "fem", "method": method, "p": float(p), "tol": tol, "budget": budget, **told}
+    plan["met"] = None if tol is None else told["error"] <= tol
+    error = np.full(len(estimate.value), told["error"])
+    return replace(estimate, stderr=None, stages={"all": estimate.seconds}, plan=plan, error=error)
+
+
+def _in_time(
+    polygon: Any,
+    boundary: BoundaryValues,
+    p: float,
+    tol: float | None,
+    budget: float,
+    points: NDArray[np.float64],
+    outside: str,
+) -> tuple[Solution, list[dict[str, float]]]:
+    """The solution on the finest of a row of meshes that time allows, and what each took.
+
+    A mesh has up to four times the triangles of the one before. What it should take is extrapolated from that one, with
+    the power of the number of triangles that sparse factorisations have in the plane, 3/2.
+    """
+    start = time.perf_counter()
+    triangles, levels = _COARSEST, []
+    while True:
+        began = time.perf_counter()
+        found = p_harmonic(polygon, boundary, p, points=points, outside=outside, triangles=triangles)
+        seconds = time.perf_counter() - began
+        error = float(np.nan_to_num(found.error_at(points, outside="nan")).max(initial=0.0))
+        levels.append({"triangles": float(found.triangles), "seconds": seconds, "error": error})
+        left = budget - (time.perf_counter() - start)
+        growth = min(4.0, (0.7 * left / seconds) ** (2.0 / 3.0)) if left > 0.0 else 0.0
+        if growth < 1.5 or (tol is not None and error <= tol) or triangles >= _FINEST:
+            return found, levels
+        triangles = int(triangles * growth)
 
 
 def _by_network(
@@ -147,6 +192,7 @@ def p_harmonic(
     tol: float | None = None,
     points: ArrayLike | None = None,
     outside: str = "raise",
+    triangles: int = _TRIANGLES,
 ) -> Solution:
     """The solution that `solve_p_laplace` evaluates, to be asked at many sets of points.
 
@@ -154,6 +200,8 @@ def p_harmonic(
     ----------
     polygon, boundary, p, tol, points, outside
         As for `solve_p_laplace`; `points` is where `tol` shall hold, everywhere by default.
+    triangles : int
+        About how many to begin with.
 
     Returns
     -------
@@ -172,7 +220,7 @@ def p_harmonic(
     p = check.number("p", p, low=1.0, open_low=True)
     order = default_order(p)
     # Half the length of these edges is what is solved on: a quarter of the triangles.
-    mesh = Mesh.of(_straight(polygon, boundary), _TRIANGLES // 4, order=order)
+    mesh = Mesh.of(_straight(polygon, boundary), triangles // 4, order=order)
     if points is None:
         return p_laplace(mesh, boundary, p, order=order, tol=tol)
     places = check.array("points", points, ("m", 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
 from nqr_geom.chunks import by_chunks
-from nqr_geom.streams import Stream
+from nqr_geom.pde_plans import Solvers, first_choice, laplace_ways, spread_of
+from nqr_geom.pde_walks import by_walks, deterministic
 
 if TYPE_CHECKING:
-    from nqr_geom.integrator.estimate import Estimate, Statistics
+    from nqr_geom.integrator.estimate import Estimate
+    from nqr_geom.integrator.plan import Way
     from nqr_geom.wos.boundary import BoundarySolution
     from nqr_geom.wos.domain import Boundary, Domain
     from nqr_geom.wos.walk import Physics
@@ -31,11 +33,6 @@ _OUTSIDE = ("raise", "nan")
 _BY_RULE = ("wos-lhs", "wos-rqmc", "structured", "inet")  # a sampler and a rule over `n` walks of few steps
 
 _STEPS = 10_000  # of a walk that is not told otherwise: it ends after some ten or twenty
-_PILOT = 64  # walks a query before the first look at the spread
-_MOST_WALKS = 2**20  # a query, before giving up on a tolerance
-_TILE = 2**18  # walks held at a time
-_WALK_SECONDS = 2.5e-6  # one walk on one core, for "auto" to compare with
-_SURE = 3.0  # standard errors within the tolerance
 
 
 def _for_chunks(given: dict[str, Any], queries: int) -> Callable[..., Any]:
@@ -51,7 +48,7 @@ def _for_chunks(given: dict[str, Any], queries: int) -> Callable[..., Any]:
         return partial(solve_laplace, **given)
     _only_laplace("boundary", Physics(check.number("screening", given["screening"], low=0.0), given["source"]))
     domain = Domain.of(given["polygon"])
-    tol = check.number("tol", given["tol"], low=0.0, open_low=True)
+    tol = check.number("tol", 1e-3 if given["tol"] is None else given["tol"], low=0.0, open_low=True)
     # Solved here and once: the workers get the solution, and its bits do not depend on their threads.
     solution = _solved(domain.boundary(given["boundary"]), tol)
     return partial(_by_solution, solution, outside=check.choice("outside", given["outside"], _OUTSIDE))
@@ -78,7 +75,8 @@ def solve_laplace(
     points: ArrayLike,
     *,
     method: str = "auto",
-    tol: float = 1e-3,
+    tol: float | None = None,
+    budget: float | None = None,
     n: int | None = None,
     max_steps: int | None = None,
     epsilon: float = 1e-3,
@@ -108,11 +106,17 @@ def solve_laplace(
         closest points rebuild the boundary; the answer is the mean under its harmonic measure. "inet": the same walks,
         weighed by a network; it is trained on 32 walks of 12 steps.
         "fem": finite elements. "auto": what should meet `tol` at the least cost.
-    tol : float
-        Absolute error to aim for: walks are added until three standard errors are within it, unless `n` says how many.
-        "boundary" goes further, to 1e-8 of the spread of the boundary values where it can.
+    tol : float, optional
+        Absolute error to reach, 1e-3 if nothing says how much: "auto" takes the method that should get there at the
+        least cost, by measured models of costs and errors; a method that is named takes as many walks or triangles as
+        that needs. Bounds on the error are checked on the way. "boundary" goes further, to 1e-8 of the spread of the
+        boundary values where it can.
+    budget : float, optional
+        Seconds to spend: the most accurate answer within that time. Imports, compilation and a first call for one query
+        do not count. With `tol` too, the cheapest answer within `tol`, as long as the time lasts.
     n : int, optional
-        Walks a query. 32 by default with a cap on steps: "wos-lhs", "wos-rqmc", "structured", "inet".
+        Walks a query, in place of tol and budget. 32 where nothing else is said for "wos-lhs", "wos-rqmc",
+        "structured", "inet", with a cap on their steps.
     max_steps : int, optional
         Jumps of a walk before it takes the boundary value closest to it; such walks are counted. 10,000 by default.
     epsilon : float
@@ -150,12 +154,13 @@ def solve_laplace(
     >>> ng.solve_laplace(square, [0.0, 1.0, 1.0, 0.0], [[0.25, 0.5], [0.5, 0.1]], method="boundary").round(6)
     array([0.25, 0.5 ])
     """
+    from nqr_geom.integrator.plan import Clock, Goal
+    from nqr_geom.integrator.pursue import pursue
     from nqr_geom.wos.domain import Domain
     from nqr_geom.wos.walk import Physics
 
     check.choice("method", method, METHODS)
     check.choice("outside", outside, _OUTSIDE)
-    tol = check.number("tol", tol, low=0.0, open_low=True)
     epsilon = check.number("epsilon", epsilon, low=1e-12, high=0.5)
     screening = check.number("screening", screening, low=0.0)
     seed = check.integer("seed", seed)
@@ -163,32 +168,78 @@ def solve_laplace(
     max_steps = None if max_steps is None else check.integer("max_steps", max_steps, low=1)
     if source is not None and not callable(source):
         source = check.number("source", source) or None
+    clock = Clock.start()
     domain = Domain.of(polygon)
     values = domain.boundary(boundary)
     framed, inside = inside_of(domain, points, outside)
     keys = check.rows(rows, len(framed))[inside]
-    physics = Physics(screening * domain.unit**2, _framed(domain, source))
-    plan: dict[str, Any] = {"method": method}
-    if method == "auto":
-        method, why = _cheapest(values, int(inside.sum()), tol, physics)
-        plan = {"method": method, "why": why}
-    _only_laplace(method, physics)
-    if method == "boundary":
-        estimate = _by_boundary(values, framed[inside], tol)
-    elif method == "fem":
-        whole = _polygon(domain, polygon)
-        estimate = _by_fem(whole, boundary, domain.from_frame(framed[inside]), tol, source, screening)
-    elif method in _BY_RULE:
-        if method == "inet" and max_steps not in (None, 12):
-            raise ValueError(f"max_steps: expected 12 with method 'inet', which is trained on them, got {max_steps}")
-        settings: dict[str, Any] = {"n": n or 32, "max_steps": max_steps or 12, "epsilon": epsilon, "seed": seed}
-        estimate = by_rule(values, framed[inside], keys, *registry.method(method, "laplace"), **settings)
+    _only_laplace(method, Physics(screening, source))  # type: ignore[arg-type]
+    if method == "inet" and max_steps not in (None, 12):
+        raise ValueError(f"max_steps: expected 12 with method 'inet', which is trained on them, got {max_steps}")
+    here = framed[inside]
+    asked = _Question(polygon, boundary, source, screening, domain, values, here, keys)
+    solvers = asked.solvers(max_steps, epsilon, seed)
+    goal = Goal.checked(len(here), tol, budget, scale=spread_of(values), size=float(len(domain)))
+    if tol is None and budget is None:
+        n = n or 32 if method in _BY_RULE else n
+        goal = replace(goal, tol=1e-3)
+    everything = np.arange(len(here))
+    if n is not None and method in ("wos", *_BY_RULE):
+        draw = solvers.walks if method == "wos" else partial(solvers.rule, method)
+        estimate = draw(everything, n, 0)
+        estimate = replace(estimate, plan={**estimate.plan, "method": method, "tol": tol})
     else:
-        settings = {"epsilon": epsilon, "max_steps": max_steps or _STEPS, "physics": physics}
-        estimate = _by_walks(values, framed[inside], keys, n, tol, seed, settings)
-    estimate = replace(estimate, plan={**estimate.plan, **plan, "tol": tol})
+        estimate = pursue(laplace_ways(solvers, None if method == "auto" else [method]), goal, clock)
     estimate = scattered(estimate, inside)
     return estimate if full_output else estimate.value[:, 0]
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What was asked, read and in the domain's frame."""
+
+    polygon: Any
+    given: Any
+    source: Source
+    screening: float
+    domain: Domain
+    values: Boundary
+    framed: Floats
+    keys: NDArray[np.int64]
+
+    def solvers(self, max_steps: int | None, epsilon: float, seed: int) -> Solvers:
+        """All that can answer it."""
+        from nqr_geom.wos.walk import Physics
+
+        values, here, keys, domain = self.values, self.framed, self.keys, self.domain
+        physics = Physics(self.screening * domain.unit**2, _framed(domain, self.source))
+        few: dict[str, Any] = {"max_steps": max_steps or 12, "epsilon": epsilon, "seed": seed}
+        far = {"epsilon": epsilon, "max_steps": max_steps or _STEPS, "physics": physics}
+
+        def rule(method: str, rows: NDArray[np.int64], n: int, k: int) -> Estimate:
+            return by_rule(values, here[rows], keys[rows], *registry.method(method, "laplace"), n=n, first=k, **few)
+
+        def fem(tol: float) -> Estimate:
+            whole = _polygon(domain, self.polygon)
+            return _by_fem(whole, self.given, domain.from_frame(here), tol, self.source, self.screening)
+
+        return Solvers(
+            walks=lambda rows, n, k: by_walks(values, here[rows], keys[rows], n, seed, far, k),
+            rule=rule,
+            boundary=lambda tol: _by_boundary(values, here, tol),
+            fem=fem,
+            plain=physics.screening == 0.0 and physics.source is None,
+        )
+
+
+def ways_of(polygon: Any, boundary: Any, points: ArrayLike, methods: list[str] | None = None) -> list[Way]:
+    """The ways in which `solve_laplace` would answer, for those who measure them."""
+    from nqr_geom.wos.domain import Domain
+
+    domain = Domain.of(polygon)
+    framed = inside_of(domain, points, "raise")[0]
+    asked = _Question(polygon, boundary, None, 0.0, domain, domain.boundary(boundary), framed, np.arange(len(framed)))
+    return laplace_ways(asked.solvers(None, 1e-3, 0), methods)
 
 
 def inside_of(domain: Domain, points: ArrayLike, outside: str) -> tuple[Floats, NDArray[np.bool_]]:
@@ -217,71 +268,25 @@ def _framed(domain: Domain, source: Source) -> Callable[[Floats], Floats] | None
 
 def _cheapest(values: Boundary, queries: int, tol: float, physics: Physics) -> tuple[str, str]:
     """The method that should meet the tolerance first, and the reason in words."""
-    edges = len(values.domain)
-    if physics.screening > 0.0 or physics.source is not None:
-        return "fem", "a source or screening, and deterministic where walks are noisy"
-    probe = values.at(np.repeat(np.arange(edges), 3), np.tile([0.1, 0.5, 0.9], edges))
-    walks = max(_PILOT, (_SURE * 0.3 * float(np.ptp(probe)) / tol) ** 2)
-    walking = queries * walks * _WALK_SECONDS
-    # Measured: dense corners, then a matrix of about 50 nodes an edge that is filled and multiplied.
-    solving = 0.02 * edges + 2.5e-5 * edges**2 + 2e-7 * edges * queries
-    if walking < solving:
-        return "wos", f"about {walks:.2g} walks a query take {walking:.2g} s, the boundary solver {solving:.2g} s"
-    return "boundary", f"about {walks:.2g} walks a query would take {walking:.2g} s, this {solving:.2g} s"
+    from nqr_geom.integrator.plan import Goal
 
-
-def _estimate(
-    value: Floats,
-    statistics: Statistics,
-    stderr: Floats | None,
-    n: int,
-    counts: dict[str, int],
-    seconds: float,
-    **plan: Any,
-) -> Estimate:
-    from nqr_geom.integrator.estimate import Estimate
-
-    return Estimate(
-        value=value,
-        stderr=stderr,
-        n=n,
-        inner=value,
-        counts=counts,
-        seconds=seconds,
-        stages={"all": seconds},
-        peak_memory=None,
-        effects=frozenset(),
-        fallback=np.zeros(len(value), dtype=bool),
-        plan={"problem": "laplace", "n": n, "replicates": 1, **plan},
-        statistics=statistics,
-    )
-
-
-def _sure(value: Floats, seconds: float, **plan: Any) -> Estimate:
-    """A deterministic answer (m,) as an estimate without spread."""
-    from nqr_geom.integrator.estimate import Statistics
-
-    column = value[:, None]
-    statistics = Statistics(column, np.zeros_like(column), 1, "replicates")
-    counts = {"samples": 0, "queries": 0}
-    return _estimate(column, statistics, None, 0, counts, seconds, sampler="none", seeds=(), **plan)
+    plain = physics.screening == 0.0 and physics.source is None
+    return first_choice(plain, Goal(queries, tol, None, spread_of(values), float(len(values.domain))))
 
 
 def _solved(values: Boundary, tol: float) -> BoundarySolution:
     from nqr_geom.wos.boundary import solve
 
-    edges = len(values.domain)
-    probe = values.at(np.repeat(np.arange(edges), 3), np.tile([0.1, 0.5, 0.9], edges))
-    relative = tol / (float(np.ptp(probe)) or 1.0)
-    return solve(values.domain, values, min(relative, 1e-8 if edges <= 100 else 1e-6))
+    return solve(values.domain, values, min(tol / spread_of(values), 1e-8 if len(values.domain) <= 100 else 1e-6))
 
 
 def _by_boundary(values: Boundary, framed: Floats, tol: float) -> Estimate:
     start = time.perf_counter()
     solution = _solved(values, tol)
     value = solution.at(framed)
-    told = {"residual": solution.residual, "unknowns": solution.unknowns, "met": solution.residual <= tol}
-    return _sure(value, time.perf_counter() - start, rule="boundary", **told)
+    told = {"residual": solution.residual, "unknowns": solution.unknowns}
+    estimate = deterministic(value, time.perf_counter() - start, rule="boundary", **told)
+    return replace(estimate, error=np.full(len(value), solution.residual))
 
 
 def _polygon(domain: Domain, polygon: Any) -> Any:
@@ -301,8 +306,11 @@ def _by_fem(polygon: Any, boundary: Any, points: Floats, tol: float, source: Sou
 
     start = time.perf_counter()
     solution = laplace(polygon, boundary, source=source, screening=screening, tol=tol, points=points)
-    value = solution(points)
-    return _sure(value, time.perf_counter() - start, rule="fem", triangles=len(solution.space.mesh.triangles))
+    value, error = solution(points), np.asarray(solution.error_at(points))
+    estimate = deterministic(
+        value, time.perf_counter() - start, rule="fem", triangles=len(solution.space.mesh.triangles)
+    )
+    return replace(estimate, error=error)
 
 
 def by_rule(
@@ -316,6 +324,7 @@ def by_rule(
     max_steps: int,
     epsilon: float,
     seed: int,
+    first: int = 0,
 ) -> Estimate:
     """The integrator on the walk problem at points inside, less a constant so that constants are exact."""
     check.require("torch", "learn", f"methods such as '{sampler}+{rule}'")
@@ -327,76 +336,9 @@ def by_rule(
     level = float(values.at(np.zeros(1, dtype=np.int64), np.zeros(1))[0])
     problem = LaplaceProblem.joined([values.less(level)], [framed], max_steps, epsilon)
     problem = replace(problem, rows=torch.from_numpy(rows))
-    estimate = run(problem, registry.make("sampler", sampler), registry.make("rule", rule), n, seed=seed)
+    estimate = run(problem, registry.make("sampler", sampler), registry.make("rule", rule), n, seed=seed, first=first)
     statistics = replace(estimate.statistics, mean=estimate.statistics.mean + level)
     return replace(estimate, value=estimate.value + level, inner=estimate.inner + level, statistics=statistics)
-
-
-def _by_walks(
-    values: Boundary,
-    framed: Floats,
-    rows: NDArray[np.int64],
-    n: int | None,
-    tol: float,
-    seed: int,
-    settings: dict[str, Any],
-) -> Estimate:
-    """Independent walks, as many as asked for or until every standard error is small enough."""
-    start = time.perf_counter()
-    stream = Stream(seed, "test", "samples/0")
-    counts: dict[str, int] = {}
-    total = _batch(values, framed, rows, np.arange(n or _PILOT), stream, settings, counts)
-    while n is None and total.count < _MOST_WALKS and len(framed) and _SURE * _largest(total) > tol:
-        wanted = total.count * (_SURE * _largest(total) / tol) ** 2
-        upto = int(min(max(1.2 * wanted, 2 * total.count), 8 * total.count, _MOST_WALKS))
-        fresh = np.arange(total.count, upto)
-        total = total.merge(_batch(values, framed, rows, fresh, stream, settings, counts))
-    told = {"met": bool(len(framed) == 0 or _SURE * _largest(total) <= tol)} if n is None else {}
-    counts = {"samples": total.count * len(framed), "queries": counts.get("steps", 0), **counts}
-    seconds = time.perf_counter() - start
-    what = {"sampler": "random", "rule": "mc", "seeds": (seed,), **told}
-    return _estimate(total.mean, total, total.stderr, total.count, counts, seconds, **what)
-
-
-def _largest(statistics: Statistics) -> float:
-    return float(statistics.stderr.max()) if statistics.stderr is not None else np.inf
-
-
-def _batch(
-    values: Boundary,
-    framed: Floats,
-    rows: NDArray[np.int64],
-    walks: NDArray[np.int64],
-    stream: Stream,
-    settings: dict[str, Any],
-    counts: dict[str, int],
-) -> Statistics:
-    """Statistics of some walks from every query, held a tile of queries and walks at a time."""
-    from nqr_geom.integrator.estimate import Statistics
-    from nqr_geom.wos.walk import walk
-
-    moments = np.zeros((4, len(framed), 1))
-    of = np.zeros(len(framed), dtype=np.int64)
-    height = max(1, _TILE // len(walks))
-    for low in range(0, len(framed), height):
-        part = slice(low, low + height)
-        whole: Statistics | None = None
-        for first in range(0, len(walks), _TILE):
-            some = walks[first : first + _TILE]
-            ended = walk(values.domain.nearest, of[part], framed[part], rows[part], some, stream, **settings)
-            terms = values.at(ended.edge, ended.t)
-            if ended.weight is not None:
-                terms = terms * ended.weight
-            if ended.gained is not None:
-                terms = terms + ended.gained
-            for key, count in ended.counts().items():
-                counts[key] = counts.get(key, 0) + count
-            piece = Statistics.of(terms[..., None])
-            whole = piece if whole is None else whole.merge(piece)
-        if whole is not None:
-            moments[:, part] = whole.mean, whole.m2, whole.m3, whole.m4
-    mean, m2, m3, m4 = moments
-    return Statistics(mean, m2, len(walks), "samples", m3, m4)
 
 
 def scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
@@ -419,4 +361,6 @@ def scattered(estimate: Estimate, inside: NDArray[np.bool_]) -> Estimate:
     statistics = replace(old, mean=value, **powers)
     stderr = None if estimate.stderr is None else spread(estimate.stderr)
     inner = spread(estimate.inner)
+    error = None if estimate.error is None else spread(estimate.error[:, None])[:, 0]
+    estimate = replace(estimate, error=error)
     return replace(estimate, value=value, inner=inner, stderr=stderr, fallback=fallback, statistics=statistics)

@@ -53,6 +53,9 @@ class Estimate:
         Integrals where the method gave way to a safer one or had to clamp.
     plan : dict
         Which sampler, rule and budget ran, and why.
+    error : ndarray, (B,), or None
+        Where `tol` or `budget` was asked for, or the method has one: bounds on the absolute error that are meant to
+        hold for 95 integrals in 100. A deterministic method's is its residual or its estimate.
     """
 
     value: NDArray[np.float64]
@@ -67,6 +70,7 @@ class Estimate:
     fallback: NDArray[np.bool_]
     plan: dict[str, Any]
     statistics: Statistics = field(repr=False)
+    error: NDArray[np.float64] | None = field(default=None, repr=False)
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
@@ -84,7 +88,7 @@ class Estimate:
         """
         if self.stderr is None:
             return np.zeros(len(self.value), dtype=bool)
-        if self.statistics.count <= 1:  # a deterministic answer
+        if np.max(self.statistics.count, initial=1) <= 1:  # a deterministic answer
             return np.ones(len(self.value), dtype=bool)
         return np.asarray(self.statistics.trusted.all(axis=1))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ class Statistics:
     ----------
     mean, m2 : ndarray, (B, C), float64
         Mean of the terms and sum of their squared deviations from it.
-    count : int
-        Number of terms.
+    count : int, or ndarray (B, 1) of int
+        Number of terms; one each where integrals have had different numbers of them.
     kind : {"samples", "replicates"}
         What a term is: one independent sample, or a whole replicate of a design.
     m3, m4 : ndarray, (B, C), or None
@@ -45,7 +46,7 @@ class Statistics:
 
     mean: Floats
     m2: Floats
-    count: int
+    count: Any
     kind: str
     m3: Floats | None = None
     m4: Floats | None = None
@@ -63,7 +64,7 @@ class Statistics:
 
     def _moments(self) -> tuple[Floats, Floats] | None:
         """Third and fourth; a single term has none to deviate by."""
-        if self.count <= 1:
+        if np.all(np.equal(self.count, 1)):
             return np.zeros_like(self.m2), np.zeros_like(self.m2)
         return None if self.m3 is None or self.m4 is None else (self.m3, self.m4)
 
@@ -92,7 +93,9 @@ class Statistics:
     def stderr(self) -> Floats | None:
         """Standard error of the mean, or None where too few terms make it meaningless."""
         least = _LEAST_SAMPLES if self.kind == "samples" else _LEAST_REPLICATES
-        return np.sqrt(self.m2 / (self.count - 1) / self.count) if self.count >= least else None
+        if np.size(self.count) == 0 or np.min(self.count) < least:
+            return None
+        return np.asarray(np.sqrt(self.m2 / (self.count - 1) / self.count))
 
     @property
     def kurtosis(self) -> Floats | None:
@@ -109,7 +112,7 @@ class Statistics:
         moments = self._moments()
         if moments is None:
             return None
-        return self._standard(np.sqrt(float(self.count)) * moments[0], self.m2, np.sqrt(self.m2))
+        return self._standard(np.sqrt(self.count) * moments[0], self.m2, np.sqrt(self.m2))
 
     @staticmethod
     def _standard(above: Floats, one: Floats, two: Floats) -> Floats:
@@ -127,10 +130,11 @@ class Statistics:
         them may not have been seen yet. Equal terms are not trusted either: nothing tells what they have missed.
         """
         skewness, kurtosis = self.skewness, self.kurtosis
-        if self.stderr is None or skewness is None or kurtosis is None or self.count < _TRUSTED:
+        if self.stderr is None or skewness is None or kurtosis is None:
             return np.zeros(self.mean.shape, dtype=bool)
         with np.errstate(over="ignore"):
-            return (skewness**2 <= _SKEW * self.count) & (kurtosis <= _TAIL * self.count)
+            alike = (skewness**2 <= _SKEW * self.count) & (kurtosis <= _TAIL * self.count)
+        return np.asarray(alike & (self.count >= _TRUSTED))
 
     def interval(self, level: float = 0.95) -> tuple[Floats, Floats] | None:
         """Ends of Student's interval about the mean, (B, C) each, or None where there is no standard error.
@@ -148,3 +152,12 @@ class Statistics:
 
         half = stdtrit(self.count - 1, 0.5 + 0.5 * level) * stderr
         return self.mean - half, self.mean + half
+
+    def take(self, rows: NDArray[np.int64]) -> Statistics:
+        """The statistics of the integrals `rows`."""
+
+        def part(array: Any) -> Any:
+            return array if array is None or np.ndim(array) == 0 else array[rows]
+
+        names = ("mean", "m2", "count", "m3", "m4")
+        return replace(self, **{name: part(getattr(self, name)) for name in names})

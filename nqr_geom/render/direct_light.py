@@ -18,7 +18,14 @@ REFERENCE_PASSES, REFERENCE_RUNS = 256, 16
 
 
 def direct(
-    scene: Scene, *, spp: int = 16, method: str = "mis", seed: int = 0, full_output: bool = False
+    scene: Scene,
+    *,
+    spp: int = 16,
+    method: str = "mis",
+    tol: float | None = None,
+    budget: float | None = None,
+    seed: int = 0,
+    full_output: bool = False,
 ) -> NDArray[np.float64] | Any:
     """Light that reaches the camera by one reflection from spherical lights (Section 6.1).
 
@@ -30,7 +37,16 @@ def direct(
     method : str
         "random", "mis" (progressive multi-jittered points, balance heuristic), "regression" (of degree 1, for each
         technique apart), "structured" (exact light of the unhidden sphere on diffuse surfaces, sampled visibility),
-        "reference" (at least 4096 passes in 16 runs, with a standard error), or any "sampler+rule" that fits.
+        "reference" (at least 4096 passes in 16 runs, with a standard error), or any "sampler+rule" that fits. With
+        `tol` or `budget` also "auto".
+    tol : float, optional
+        Absolute error of a pixel's radiance to reach in place of spp: "auto" takes the method that should get there at
+        the least cost, a method that is named as many passes as that needs, pixel by pixel. Bounds on the error are
+        checked on the way; the full output's `error` has them, and its `plan` what was done and why.
+    budget : float, optional
+        Seconds to spend in place of spp: the most accurate picture within that time. Imports, compilation, the scene's
+        set-up and a first call for one pixel do not count. With `tol` too, the cheapest within `tol`, as long as the
+        time lasts.
     seed : int
         The same seed gives the same picture, whatever part of it is asked for.
     full_output : bool
@@ -63,7 +79,11 @@ def direct(
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}")
     spp = check.integer("spp", spp, low=1)
-    sampler, rule = registry.method("mis" if method == "reference" else method, "direct")
+    planned = tol is not None or budget is not None
+    if planned and method == "reference":
+        raise ValueError(f"method: expected another one than 'reference' with tol or budget, got {method!r}")
+    named = "mis" if method == "reference" or (planned and method == "auto") else method
+    sampler, rule = registry.method(named, "direct")
     replicates = 1
     if method == "reference":
         spp, replicates = max(spp // REFERENCE_RUNS, REFERENCE_PASSES), REFERENCE_RUNS
@@ -74,8 +94,18 @@ def direct(
     start = time.perf_counter()
     problem = DirectProblem.of(scene)
     seen = time.perf_counter() - start
-    pair = registry.make("sampler", sampler), registry.make("rule", rule)
-    estimate = run(problem, *pair, spp, replicates=replicates, seed=seed)
+    if planned:
+        from nqr_geom.integrator.plan import Clock, Goal
+        from nqr_geom.integrator.pursue import pursue
+        from nqr_geom.render.plans import brightness, direct_ways
+
+        clock = Clock.start()
+        unit = brightness(problem, seed)
+        goal = Goal.checked(problem.batch, tol, budget, scale=unit)
+        estimate = pursue(direct_ways(problem, None if method == "auto" else [method], seed=seed), goal, clock)
+    else:
+        pair = registry.make("sampler", sampler), registry.make("rule", rule)
+        estimate = run(problem, *pair, spp, replicates=replicates, seed=seed)
     if not full_output:
         camera = scene.camera
         return estimate.value.reshape(camera.height, camera.width, 3)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
 from nqr_geom.chunks import by_chunks, keyed
+from nqr_geom.integrator.plan import Clock, Goal
 from nqr_geom.render.volume import Homogeneous, Volume
 
 if TYPE_CHECKING:
@@ -134,6 +135,8 @@ def transmittance(
     *,
     n: int = 24,
     method: str = "stratified",
+    tol: float | None = None,
+    budget: float | None = None,
     seed: int = 0,
     rows: ArrayLike | None = None,
     full_output: bool = False,
@@ -159,10 +162,19 @@ def transmittance(
         Ray marching: "random"; "stratified" (default: equal steps with one random shift; with either this is Kettunen's
         biased estimator, which the paper calls "Ray Marching"); "trapezoid"; "regression" (a cubic as control
         variate); "jackknife" (Peters);
-        "structured" (knows the shape and the noise's statistics, places samples where the density is uncertain); or
-        any "sampler+rule" of `samplers()` and `rules()`. Unbiased: "unbiased-raymarching" (Kettunen; n queries on
-        average). Tracking: "ratio" and "track-length", repeated until more than n queries are spent but not more than n
-        times; a single run is unbiased, the mean of a number of runs that depends on them is so only nearly.
+        "structured" (knows the shape and the noise's statistics, places samples where the density is uncertain);
+        "inet" (stratified queries weighed by a network) and "nqr" (placed by another one), for clouds like those of
+        `datasets.volumes`, elsewhere flagged; or any "sampler+rule" of `samplers()` and `rules()`. With `tol` or
+        `budget` also "auto". Unbiased: "unbiased-raymarching" (Kettunen; n queries on average). Tracking: "ratio" and
+        "track-length", repeated until more than n queries are spent but not more than n times; a single run is
+        unbiased, the mean of a number of runs that depends on them is so only nearly.
+    tol : float, optional
+        Absolute error of a transmittance to reach in place of n: "auto" takes the method that should get there at the
+        least cost, a method that is named as many queries as that needs. Bounds on the error are checked on the way;
+        the full output's `error` has them, and its `plan` what was done and why.
+    budget : float, optional
+        Seconds to spend in place of n: the most accurate answer within that time. Imports, compilation and a first call
+        for one ray do not count. With `tol` too, the cheapest answer within `tol`, as long as the time lasts.
     seed : int
         The same seed gives the same answer for a ray, whatever other rays are asked for after it.
     rows : (m,) array_like of int, optional
@@ -202,17 +214,31 @@ def transmittance(
     n, seed = check.integer("n", n, low=1), check.integer("seed", seed)
     if not isinstance(volume, Volume):
         raise TypeError(f"volume: expected a Volume, such as Homogeneous(low, high), got {volume!r}")
-    if method not in TRACKERS:
+    planned = tol is not None or budget is not None
+    clock = Clock.start() if planned else Clock()
+    if method not in TRACKERS and not (planned and method == "auto"):
         sampler, rule = registry.method(method, "transmittance")
     from nqr_geom.render.problems import TransmittanceProblem
 
-    support = "pieces" if method == "structured" else "bounds"
-    problem = TransmittanceProblem.of(volume, origins, directions, t_max, support=support, everything=everything)
-    if rows is not None:
-        problem = keyed(problem, check.rows(rows, problem.batch))
+    def problem_on(support: str) -> TransmittanceProblem:
+        made = TransmittanceProblem.of(volume, origins, directions, t_max, support=support, everything=everything)
+        return made if rows is None else keyed(made, check.rows(rows, made.batch))
+
+    problem = problem_on("pieces" if method == "structured" else "bounds")
     closed = problem.effects <= {Homogeneous.kind} and not everything
     if closed:
+        goal = Goal.checked(problem.batch, tol, budget)
         estimate = _closed(problem)
+        if planned:
+            told = {"why": "closed form", "met": None if goal.tol is None else True, "tol": tol, "budget": budget}
+            estimate = replace(estimate, plan={**estimate.plan, **told}, error=np.zeros(problem.batch))
+    elif planned:
+        from nqr_geom.integrator.pursue import pursue
+        from nqr_geom.render.plans import transmittance_ways
+
+        ways = transmittance_ways(problem_on, None if method == "auto" else [method], seed=seed)
+        estimate = pursue(ways, Goal.checked(problem.batch, tol, budget), clock)
+        method = estimate.plan["method"]
     elif method in TRACKERS:
         estimate = tracked(problem, method, n, seed)
     else:

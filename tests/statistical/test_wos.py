@@ -92,7 +92,10 @@ def test_tolerance_is_met():
     truth = ng.solve_laplace(star(), values, points, method="boundary")
     got = ng.solve_laplace(star(), values, points, method="wos", tol=0.02, full_output=True)
     assert got.plan["met"]
-    assert np.abs(got.value[:, 0] - truth).max() < 0.02
+    assert (got.error <= 0.02).all()
+    off = np.abs(got.value[:, 0] - truth)
+    assert np.mean(off <= 0.02) >= 0.925  # of 95 in 100 meant
+    assert off.max() < 0.04
     few = ng.solve_laplace(star(), values, points, method="wos", n=8, full_output=True)
     assert (few.n, "met" in few.plan) == (8, False)
 
