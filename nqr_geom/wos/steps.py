@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -92,8 +92,8 @@ class LaplaceWalks(Walks):
 
     def _ahead(self, place: Tensor, radius: Tensor, turn: Tensor, open_: Tensor, step: int) -> Tensor:
         result = np.zeros((len(place), self.bins, len(self.base)), dtype=np.float32)
-        given = [a.numpy() for a in (place, radius, turn, open_)]
-        over_rows(lambda low, high: _ahead(*given, self.ends, self.count, low, high, result), len(place))
+        given: tuple[Any, ...] = (*(a.numpy() for a in (place, radius, turn, open_)), self.ends, self.count)
+        over_rows(lambda low, high: _ahead(*given, low, high, result), len(place))
         ahead = torch.from_numpy(result)
         if step == 0:
             ahead[:, :, 0] = self.started.log1p()
