@@ -79,12 +79,11 @@ def report(
 
     Examples
     --------
-    >>> from tempfile import TemporaryDirectory
-    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
-    >>> with TemporaryDirectory() as folder:  # doctest: +SKIP
-    ...     made = report(folder, input=square, apps=["gwn"])
-    >>> made["applications"][0]["title"]  # doctest: +SKIP
-    'Winding number'
+    On your own polygon ``report("costs", input=points, apps=["gwn", "laplace"])`` writes costs/report.html.
+
+    >>> report("costs", mode="slow")
+    Traceback (most recent call last):
+    ValueError: mode: expected one of quick, full, got 'slow'
     """
     from nqr_geom.reporting.settings import MODES
 
