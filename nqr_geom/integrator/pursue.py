@@ -37,7 +37,7 @@ _GROWTH = 16.0  # of one level over the last at most
 _FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like
 _PILOT = 0.08  # of a budget goes into finding out how fast this problem is
 _LEVELS, _CAREFUL = 8, 6.0  # of them at most, and how much bigger each: costs do not grow in proportion for ever
-_STALE = 0.9  # bounds that twice the samples do not bring below this part of the last ones are rounding errors
+_STALE = 0.9  # bounds that eight times the samples do not bring below this part of what they were will stay
 
 
 @dataclass
@@ -207,14 +207,15 @@ def _next(sampling: _Sampling, n: int, open_bounds: Floats, tol: float) -> int:
         have = sum(sampling.sizes)
         return math.ceil(have * (min(max(1.15 * ratio**2, 1.5), _GROWTH) - 1.0))
     order = sampling.way.model.law.order(n / per_piece(sampling.way, sampling.goal))
-    return math.ceil(n * min(max((1.2 * ratio) ** (1.0 / order), 1.5), _GROWTH))
+    return math.ceil(n * min(max((1.2 * ratio) ** (1.0 / order), 2.0), _GROWTH))
 
 
 def _reach(sampling: _Sampling, rows: Rows, forecast: Forecast, others: Sequence[Forecast]) -> tuple[Rows, str]:
     """Levels until every integral of `rows` is within the tolerance, or another way is better, or time is up."""
     goal, clock, way = sampling.goal, sampling.clock, sampling.way
     tol = goal.tol or 0.0
-    n, largest = _start(sampling, forecast), math.inf
+    n = _start(sampling, forecast)
+    bounds: list[tuple[int, float]] = []  # after so many samples, of those that were open
     while True:
         if clock.budget is not None:
             fits = most_within(way, goal, clock.share, sampling.pace, len(rows))
@@ -226,10 +227,12 @@ def _reach(sampling: _Sampling, rows: Rows, forecast: Forecast, others: Sequence
         if not is_open.any():
             return rows[:0], "met"
         left = bound[is_open]
-        if len(sampling.sizes) > 2 and float(np.median(left)) > _STALE * largest and is_open.all():
-            return rows[is_open], "more samples no longer help"
-        largest, rows = float(np.median(left)), rows[is_open]
         total = sum(sampling.sizes) if sampling.kind == "samples" else n
+        middle = float(np.median(left))
+        if any(8 * size <= total and middle > _STALE * before for size, before in bounds) and is_open.all():
+            return rows[is_open], "more samples no longer help"
+        rows = rows[is_open]
+        bounds.append((total, middle))
         if total >= _MOST[sampling.kind]:
             return rows, f"{total} samples are not enough"
         n = min(_next(sampling, n, left, tol), _MOST[sampling.kind])
