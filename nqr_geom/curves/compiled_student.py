@@ -22,6 +22,7 @@ __all__ = ["Estimated", "Layers", "estimated"]
 _TINY = 1e-280
 _SMALL = 1e-18
 _LIMIT = 16.0  # of a network's input
+_FLAT = 5e-2  # part of the largest value
 _CLOSEST = 1e-4  # gap in units of 1/N below which gaps look alike
 _LEAST_GROWTH, _GROWTH = -30.0, 3.0
 _TOKENS = 30
@@ -265,6 +266,15 @@ def _within(distance, see, box, n):
     return known
 
 
+@_inline
+def _flat(f, n):
+    """Whether values are all but constant, as `tokens.flat`."""
+    low, high = f[0], f[0]
+    for i in range(1, n):
+        low, high = min(low, f[i]), max(high, f[i])
+    return high - low <= _FLAT * max(abs(low), abs(high))
+
+
 @_kernel
 def _student_rows(
     coefficients, pieces, shape, points, rows, key, n, jittered, structured, box,
@@ -290,6 +300,7 @@ def _student_rows(
         _normalised(r, t, k, n, see, distance, length)
         inside[b] = _within(distance, see, box, n)
         _row_tokens(s, k, piece, r, t, see, distance, f, n, tokens)
+        inside[b] &= not _flat(f, n)
         _layer(w1, b1, tokens, one)
         _layer(w2, b2, one, two)
         _outputs(w3, b3, two, out)

@@ -22,7 +22,7 @@ from nqr_geom.curves.tokens import (
     rolled,
     scaled,
 )
-from nqr_geom.integrator.learn.tokens import Extra, TokenConfig
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, flat
 from nqr_geom.integrator.problem import Samples
 
 __all__ = ["CURVE_STENCIL", "STENCIL_TOKENS"]
@@ -78,5 +78,11 @@ def curve_stencil(samples: Samples) -> Tensor:
     return torch.stack(parts, dim=-1)[:, :, None]
 
 
-CURVE_STENCIL = Extra(9 + 14, curve_stencil, checked=(0, 3), check=checked_sizes)  # distance and speed
+CURVE_STENCIL = Extra(
+    9 + 14,
+    curve_stencil,
+    checked=(0, 3),  # distance and speed
+    check=checked_sizes,
+    foreign=flat,
+)
 STENCIL_TOKENS = TokenConfig(frequencies=0, extra=CURVE_STENCIL.size, unit=1.0)

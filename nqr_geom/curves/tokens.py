@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nqr_geom.integrator.learn.tokens import Extra, fourier
+from nqr_geom.integrator.learn.tokens import Extra, flat, fourier
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean
 
@@ -181,4 +181,4 @@ def curve_tokens(samples: Samples) -> Tensor:
 
 
 # Distance and speed are what is checked.
-CURVE_TOKENS = Extra(13 + 12 + 2 * _FREQUENCIES + 4, curve_tokens, checked=(0, 4), check=checked_sizes)
+CURVE_TOKENS = Extra(13 + 12 + 2 * _FREQUENCIES + 4, curve_tokens, checked=(0, 4), check=checked_sizes, foreign=flat)

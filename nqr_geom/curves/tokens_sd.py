@@ -15,7 +15,7 @@ from torch import Tensor
 
 from nqr_geom.curves.hermite import tangents
 from nqr_geom.curves.tokens import CURVE_TOKENS, Vector, checked_sizes, dot, logarithm, moved, rolled, scaled
-from nqr_geom.integrator.learn.tokens import Extra
+from nqr_geom.integrator.learn.tokens import Extra, flat
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean
 
@@ -135,5 +135,9 @@ def sd_tokens(samples: Samples) -> Tensor:
 
 # Checked as for winding numbers, and the sharpness: at another one the network has learned nothing.
 SD_TOKENS = Extra(
-    CURVE_TOKENS.size + _OWN, sd_tokens, checked=(*CURVE_TOKENS.checked, CURVE_TOKENS.size), check=_checked
+    CURVE_TOKENS.size + _OWN,
+    sd_tokens,
+    checked=(*CURVE_TOKENS.checked, CURVE_TOKENS.size),
+    check=_checked,
+    foreign=flat,
 )

@@ -27,6 +27,7 @@ _NEEDS: dict[str, tuple[tuple[str, str], ...]] = {
     "p_laplace": (),
     "rules": _LEARN,
     "walks": _LEARN,
+    "learned": _LEARN,
     "transmittance": _RENDER,
     "direct": _RENDER,
 }

@@ -9,12 +9,14 @@ import torch
 from torch import Tensor
 
 from nqr_geom.integrator.learn.recipe import Batch
-from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, standard
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, flat, sort_samples, standard
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.toy.problem import ToyProblem
 
 __all__ = ["TOY_TOKENS", "toy_batch"]
 
+_LEVEL = 1e-12  # an added constant is not seen: what varies by more than rounding varies
+_ACROSS = 0.98  # of all variation
 _CENTRED = TokenConfig(centred=True)
 
 
@@ -53,7 +55,16 @@ def toy_tokens(samples: Samples) -> Tensor:
     return torch.stack(parts, dim=-1)[:, :, None]
 
 
-TOY_TOKENS = Extra(14, toy_tokens, checked=(1,))
+def _unlike(samples: Samples) -> Tensor:
+    """Integrands, (B,) bool, that do not vary, or between their pieces only: those of the family vary within, too."""
+    value, _ = sort_samples(samples)
+    piece = value.feature("piece", "inet")[:, :, 0, 0]
+    rise = value.value[:, :, 0, 0].diff(dim=1).abs()
+    total, across = rise.sum(dim=1), torch.where(piece.diff(dim=1) != 0, rise, 0.0).sum(dim=1)
+    return flat(samples, _LEVEL) | (across > _ACROSS * total)
+
+
+TOY_TOKENS = Extra(14, toy_tokens, checked=(1,), foreign=_unlike)
 
 
 def toy_batch(rows: Tensor, seed: int, split: str) -> Batch:

@@ -18,7 +18,7 @@ from torch import Tensor
 from nqr_geom.integrator.problem import Feature, Samples
 from nqr_geom.integrator.sums import row_mean
 
-__all__ = ["Extra", "TokenConfig", "compress", "sort_samples", "standard", "tokenize"]
+__all__ = ["Extra", "TokenConfig", "compress", "flat", "sort_samples", "standard", "tokenize"]
 
 _LIMIT = 16.0  # no network input exceeds this: e^16 spans every scale that a float64 problem needs after compression
 
@@ -41,6 +41,8 @@ class Extra:
         The checked ones alone, (B, N, T, len(checked)), of samples in any order, where that is cheaper.
     taught : tuple of str
         Features that only the samples of a training family bring.
+    foreign : callable, optional
+        Samples to integrals, (B,) bool, that are unlike the family though each of their quantities is within its range.
     """
 
     size: int
@@ -49,6 +51,16 @@ class Extra:
     beside: Callable[[Samples], Tensor] | None = None
     check: Callable[[Samples], Tensor] | None = None
     taught: tuple[str, ...] = ()
+    foreign: Callable[[Samples], Tensor] | None = None
+
+
+def flat(samples: Samples, part: float = 5e-2) -> Tensor:
+    """Integrals whose values differ by no more than a part of the largest, (B,) bool.
+
+    Classical rules are exact on constants. Networks are off by their error on the family, whatever the values.
+    """
+    value = samples.value.flatten(1)
+    return value.amax(dim=1) - value.amin(dim=1) <= part * value.abs().amax(dim=1)
 
 
 @dataclass(frozen=True)

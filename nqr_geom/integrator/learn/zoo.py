@@ -276,6 +276,8 @@ class Model(Rule):
         for feature in self.card.config.tokens.features:
             if feature.kind == "index":
                 inside &= (samples.feature(feature.name, self.name) < feature.levels).flatten(1).all(dim=1)
+        if self.learned.extra is not None and self.learned.extra.foreign is not None:
+            inside &= ~self.learned.extra.foreign(samples)
         return inside
 
     def combine(self, samples: Samples) -> Combination:
