@@ -23,6 +23,8 @@ from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.p_training import P_TOKENS, p_laplace_batch
+from nqr_geom.render.direct_tokens import DIRECT_TOKENS
+from nqr_geom.render.direct_training import direct_batch
 from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
 from nqr_geom.render.training import transmittance_batch
@@ -44,9 +46,25 @@ _CURVE = TokenConfig(
 # The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
 _SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
 _VOLUME = TokenConfig(extra=VOLUME_TOKENS.size, unit=1.0)  # an optical depth of 1 is what counts
+_DIRECT = TokenConfig(dim=6, channels=3, frequencies=0, extra=DIRECT_TOKENS.size)
 _WALK = TokenConfig(dim=12, frequencies=0, extra=WALK_TOKENS.size, blind=True)
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
+_DIRECT_SEES = (
+    *("direction", "nee_pdf", "nee_ratio", "bsdf_pdf", "bsdf", "light_direction", "light_distance", "light_radius"),
+    *(
+        "chance",
+        "lambert",
+        "irradiance",
+        "diffuse_share",
+        "light",
+        "radiance",
+        "visible",
+        "unhidden",
+        "pss",
+        "incident",
+    ),
+)
 _WALK_SEES = ("steps", "length", "finished", "end", "loops")
 _SIZES = ((32, 0.75), (64, 0.1), (16, 0.1), (8, 0.05))
 
@@ -150,6 +168,20 @@ RECIPES: dict[str, Recipe] = {
             sizes=((24, 0.75), (48, 0.1), (16, 0.1), (8, 0.05)),
             designs=(*("uniform-jitter",) * 5, "stratified", "random"),  # the last has most of the error, and no use
             largest=256,  # beyond, plain marching has nothing left to learn from
+        ),
+        Recipe(
+            name="direct-mis",
+            problem="direct",
+            family=direct_batch,
+            base="balance-heuristic",
+            consistent="balance-heuristic",
+            config=INetConfig(_DIRECT, positive=True),  # weights alone: a black pixel stays black
+            sees=_DIRECT_SEES,
+            extra=DIRECT_TOKENS,
+            sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
+            designs=("pmj", "pmj", "random"),
+            largest=64,
+            huber=0.25,
         ),
         Recipe(
             name="laplace-uniform",
@@ -283,6 +315,7 @@ def folder(problem: str) -> Path:
         "laplace": "wos",
         "p-laplace": "wos",
         "transmittance": "render",
+        "direct": "render",
     }
     room = rooms[check.choice("problem", problem, list(rooms))]
     return Path(__file__).parent / room / "models"

@@ -79,6 +79,7 @@ _MODELS = (
     ("gwn-student-uniform", "gwn", "small network that corrects plain weights on curves, compiled"),
     ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
     ("transmittance-uniform", "transmittance", "network that corrects plain ray marching through clouds"),
+    ("direct-mis", "direct", "network that corrects the balance heuristic of direct light"),
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
 )
@@ -89,7 +90,8 @@ _PAIRS = (
     ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
-_WALKS = ("laplace",)  # problems whose samples are walks, a coordinate a step
+_WIDE = ("laplace", "direct")  # problems of more than one dimension
+
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
     "sampler": (
@@ -294,7 +296,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
                 summary,
                 {"name": name},
                 linear=False,
-                dims="any" if problem in _WALKS else "1",
+                dims="any" if problem in _WIDE else "1",
                 needs=problem,
                 pieces=6 if problem in ("gwn", "sd") else 0,
             )
@@ -316,7 +318,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             summary,
             options={"name": name},
             linear=False,
-            dims="any" if problem in _WALKS else "1",
+            dims="any" if problem in _WIDE else "1",
             needs=problem,
         )
         for name, problem, summary in _MODELS + _PAIRS
@@ -327,6 +329,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
 ALIASES: dict[str, str] = {
     "direct:random": "random+balance-heuristic",
     "direct:regression": "pmj+direct-regression-1",
+    "direct:inet": "pmj+inet-direct-mis",
     "direct:structured": "pmj+direct-unhidden",
     "transmittance:random": "random+mc",
     "transmittance:stratified": "uniform-jitter+mc",

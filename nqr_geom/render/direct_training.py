@@ -1,0 +1,92 @@
+"""Pixels of the random rooms of Fig. 39 with accurate answers, in batches: what networks for direct light learn from.
+
+Rooms take a while to build and answers to compute, so a fixed number of rooms is seen through random points of all
+pixels, and asked again and again with fresh passes; the answers are kept on disk. Rooms of the three splits have
+nothing in common.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nqr_geom.files import cache_folder
+from nqr_geom.integrator.learn.recipe import Batch
+
+if TYPE_CHECKING:  # its kernels load Warp, which a recipe can do without
+    from nqr_geom.render.direct_problem import DirectProblem
+
+__all__ = ["Pool", "direct_batch", "pool"]
+
+ROOMS = {"train": 160, "validation": 24, "test": 24}
+RESOLUTION = 16  # pixels along each side, as in the paper
+PASSES, RUNS = 256, 4  # of an answer
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Pixels with their answers.
+
+    Attributes
+    ----------
+    problem : DirectProblem
+        All pixels, room after room.
+    answer : Tensor, (B, 3), float64
+        Radiance.
+    lit : Tensor, (M,), int64
+        Those that any light reaches.
+    """
+
+    problem: DirectProblem
+    answer: Tensor
+    lit: Tensor
+
+
+def _answers(problem: DirectProblem, seed: int, split: str) -> np.ndarray:
+    """Means of some runs, by the balance heuristic: unbiased, so that training does not see their noise."""
+    from nqr_geom.integrator.estimate import run
+    from nqr_geom.integrator.rules import BalanceHeuristic
+    from nqr_geom.integrator.samplers import Pmj
+
+    surfaces = hashlib.sha256(problem.surfaces.tobytes()).hexdigest()[:16]
+    path = cache_folder() / "direct" / f"{split}-{seed}-{PASSES}x{RUNS}-{surfaces}.npy"
+    if path.exists():
+        kept: np.ndarray = np.load(path)
+        return kept
+    made = run(problem, Pmj(), BalanceHeuristic(), PASSES, replicates=RUNS, seed=2**31 - 2, split=split).value
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f"{path.stem}.{os.getpid()}.npy")
+    np.save(aside, made)
+    aside.replace(path)  # there in full or not at all
+    return made
+
+
+@lru_cache(maxsize=3)
+def pool(split: str, seed: int) -> Pool:
+    """The rooms of a split; answers that are not on disk are computed first."""
+    from nqr_geom.render.direct_problem import DirectProblem
+
+    problem = DirectProblem.family(ROOMS[split], seed, split, RESOLUTION)
+    answer = torch.from_numpy(_answers(problem, seed, split))
+    return Pool(problem, answer, (answer > 0.0).any(dim=1).nonzero()[:, 0])
+
+
+def direct_batch(rows: Tensor, seed: int, split: str) -> Batch:
+    """Direct light at a pixel for each of `rows` (B,), spread over all rooms of the split.
+
+    In training only pixels that light reaches: on the others every rule is right.
+    """
+    everything = pool(split, seed)
+    pixels = everything.lit if split == "train" else torch.arange(len(everything.answer))
+    # A step that is prime to any number of pixels goes through all of them before it meets one again.
+    index = pixels[(rows.cpu() * 999_983) % len(pixels)]
+    problem = replace(everything.problem.take(index), rows=rows.cpu())
+    device = rows.device
+    return Batch(problem, everything.answer[index].to(device))
