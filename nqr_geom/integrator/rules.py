@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations_with_replacement
 
 import torch
 from torch import Tensor
@@ -213,15 +213,20 @@ def _legendre_basis(x: Tensor, degree: int) -> Tensor:
     polynomials = [torch.ones_like(u), u]
     for k in range(1, degree):
         polynomials.append(((2 * k + 1) * u * polynomials[k] - k * polynomials[k - 1]) / (k + 1))
-    exponents = [e for e in product(range(degree + 1), repeat=x.shape[2]) if sum(e) <= degree]
+    dim = x.shape[2]
+    # Each product by the axes of its linear factors; the order is that of the exponents.
+    chosen = (axes for total in range(degree + 1) for axes in combinations_with_replacement(range(dim), total))
     columns = []
-    for exponent in exponents:
+    for exponent in sorted(tuple(axes.count(axis) for axis in range(dim)) for axes in chosen):
         column = torch.ones_like(x[..., 0])
         for axis, k in enumerate(exponent):
             if k:
                 column = column * polynomials[k][..., axis]
         columns.append(column)
     return torch.stack(columns, dim=-1)
+
+
+_MOST_TERMS = 1000  # of a fit: twice what degree 3 has in 12 dimensions
 
 
 @dataclass(frozen=True)
@@ -249,6 +254,12 @@ class Regression(Rule):
         x, order = _canonical(samples.x)
         share = 1.0 / self._need_pdf(samples)[..., 0].gather(1, order)
         share = share / row_mean(share)[:, None]
+        terms = math.comb(samples.dim + self.degree, self.degree)
+        if terms > _MOST_TERMS:
+            raise ValueError(
+                f"rule: {self.name!r} expected at most {_MOST_TERMS} terms, a polynomial of degree {self.degree} has "
+                f"{terms} in {samples.dim} dimensions"
+            )
         basis = _legendre_basis(x, self.degree)[..., 1:]
         means = row_mean(share[..., None] * basis)
         columns = (basis - means[:, None]).unbind(dim=-1)

@@ -65,6 +65,8 @@ def polynomials(rule, n, degree):
         design = np.polynomial.legendre.legvander(2.0 * samples.x[..., 0].numpy() - 1.0, degree)
         if samples.dim > 1:
             design = np.stack([column.numpy() for column in columns], axis=-1)
+        if samples.pdf is not None:  # the fit weighs samples by their share of the cube
+            design = design / np.sqrt(samples.pdf[:, :, :1].numpy())
         determined = [n >= len(powers) and np.linalg.cond(row) < 1e4 for row in design]
         for power, column in zip(powers, columns, strict=True):
             got = estimate(rule, fixtures.with_values(samples, column[..., None, None]))[determined]

@@ -183,3 +183,14 @@ def test_balance_heuristic():
                 short += f[row, i, m] / sum(N * g[k] for k in range(3))
         assert got[row] == pytest.approx(long, rel=1e-13)
         assert got[row] == pytest.approx(short, rel=1e-13)
+
+
+def test_a_fit_with_too_many_terms_is_refused():
+    """Degree 5 in 12 dimensions has 6188 terms; degree 3 has 455 and is exact on its polynomials."""
+    x = torch.rand(1, 600, 12, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    value = (1.0 + x[..., 0] * x[..., 5] * x[..., 11])[..., None, None]
+    samples = Samples(x, Observation(value), torch.ones(1, 600, 1), "given")
+    fit = registry.make("rule", "regression-3").combine(samples).estimate(samples)
+    np.testing.assert_allclose(fit.numpy(), 1.125, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"'regression-5' expected at most 1000 terms, .* has 6188 in 12 dimensions"):
+        registry.make("rule", "regression-5").combine(samples)
