@@ -93,7 +93,8 @@ class LaplaceWalks(Walks):
     def _ahead(self, place: Tensor, radius: Tensor, turn: Tensor, open_: Tensor, step: int) -> Tensor:
         result = np.zeros((len(place), self.bins, len(self.base)), dtype=np.float32)
         given: tuple[Any, ...] = (*(a.numpy() for a in (place, radius, turn, open_)), self.ends, self.count)
-        over_rows(lambda low, high: _ahead(*given, low, high, result), len(place))
+        rows: Any = _ahead
+        over_rows(lambda low, high: rows(*given, low, high, result), len(place))
         ahead = torch.from_numpy(result)
         if step == 0:
             ahead[:, :, 0] = self.started.log1p()
