@@ -68,7 +68,15 @@ def named_volume(source: str, *, text: bool = False, density: float = 1.0, seed:
 
 
 def see_through(
-    volume: Volume, *, axis: str = "z", resolution: int = 256, method: str = "stratified", n: int = 24, seed: int = 0
+    volume: Volume,
+    *,
+    axis: str = "z",
+    resolution: int = 256,
+    method: str = "stratified",
+    n: int = 24,
+    tol: float | None = None,
+    budget: float | None = None,
+    seed: int = 0,
 ) -> tuple[Floats, Estimate]:
     """Transmittance of parallel rays along an axis, one a pixel, and the estimate behind it.
 
@@ -80,7 +88,7 @@ def see_through(
         Direction of the rays; the other two axes go right and up.
     resolution : int
         Pixels of the picture's longer side.
-    method, n, seed
+    method, n, tol, budget, seed
         As for `nqr_geom.render.transmittance`.
 
     Returns
@@ -110,9 +118,8 @@ def see_through(
     origins[..., up] = (high[up] - (np.arange(lines) + 0.5) / lines * size[up])[:, None]
     ways = np.zeros((lines * columns, 3))
     ways[:, along] = 1.0
-    estimate: Any = transmittance(
-        volume, origins.reshape(-1, 3), ways, size[along], n=n, method=method, seed=seed, full_output=True
-    )
+    asked: dict[str, Any] = {"n": n, "method": method, "tol": tol, "budget": budget, "seed": seed}
+    estimate: Any = transmittance(volume, origins.reshape(-1, 3), ways, size[along], full_output=True, **asked)
     return estimate.value.reshape(lines, columns), estimate
 
 

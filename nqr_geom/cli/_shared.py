@@ -17,6 +17,7 @@ from nqr_geom.cli._app import error_console, out_console
 from nqr_geom.curves.curve import Curve
 
 __all__ = [
+    "Budget",
     "Method",
     "Out",
     "Resolution",
@@ -24,6 +25,7 @@ __all__ = [
     "Seed",
     "Source",
     "Text",
+    "Tol",
     "draw",
     "progress_bar",
     "read_curve",
@@ -38,6 +40,13 @@ Method = Annotated[str, Parameter(help="exact, auto, mc, stratified, trapezoid, 
 Samples = Annotated[int, Parameter(name=["--samples", "-n"], help="Samples per query of a sampled method.")]
 Resolution = Annotated[int, Parameter(help="Grid lines of the picture's longer side.")]
 Seed = Annotated[int, Parameter(help="Seed of a sampled method.")]
+Tol = Annotated[
+    float | None,
+    Parameter(help="Absolute error to reach in place of --samples; --method auto does it at the least cost."),
+]
+Budget = Annotated[
+    float | None, Parameter(help="Seconds to spend, in place of --samples: the best answer in that time.")
+]
 Out = Annotated[Path, Parameter(help="A picture (.png), values (.npy), or a grid for ParaView (.vti, .vtp).")]
 
 
@@ -67,16 +76,18 @@ def draw(
     name: str,
     signed: bool,
     seed: int = 0,
+    whole: bool = False,
 ) -> None:
     """Evaluate a field on a grid around the curve, band by band under a progress bar, and save it.
 
     `answer` takes points and a seed; every band has its own, or the noise of sampled methods would repeat.
+    With `whole` it takes all points at once, as a time for all of them does.
     """
     from nqr_geom.pictures import ENDINGS, Window, save_field
 
     check.choice("out", out.suffix.lower(), ENDINGS)
     window = Window.around(curve.bounds, resolution)
-    bands = np.array_split(window.points, max(1, len(window.points) // 16384))
+    bands = np.array_split(window.points, 1 if whole else max(1, len(window.points) // 16384))
     with progress_bar() as progress:
         numbered = progress.track(list(enumerate(bands)), description=name)
         values = [answer(band, seed + (k << 32)) for k, band in numbered]

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import nqr_geom as ng
 from nqr_geom.cli._app import app
-from nqr_geom.cli._shared import Method, Out, Resolution, Samples, Seed, Source, Text, draw, read_curve
+from nqr_geom.cli._shared import Budget, Method, Out, Resolution, Samples, Seed, Source, Text, Tol, draw, read_curve
 
 __all__ = ["distance", "gwn", "sd"]
 
@@ -21,6 +21,8 @@ def gwn(
     text: Text = False,
     method: Method = "exact",
     samples: Samples = 32,
+    tol: Tol = None,
+    budget: Budget = None,
     resolution: Resolution = 256,
     seed: Seed = 0,
     out: Out = Path("gwn.png"),
@@ -29,9 +31,9 @@ def gwn(
     curve = read_curve(source, text)
 
     def answer(points: Any, seed: int) -> Any:
-        return ng.gwn(curve, points, method=method, n=samples, seed=seed)
+        return ng.gwn(curve, points, method=method, n=samples, tol=tol, budget=budget, seed=seed)
 
-    draw(curve, answer, out, resolution, "winding number", signed=True, seed=seed)
+    draw(curve, answer, out, resolution, "winding number", signed=True, seed=seed, whole=budget is not None)
 
 
 @app.command
@@ -42,6 +44,8 @@ def sd(
     alpha: Annotated[float, Parameter(help="Sharpness in units of one over the curve's size.")] = 35.0,
     method: Method = "exact",
     samples: Samples = 32,
+    tol: Tol = None,
+    budget: Budget = None,
     resolution: Resolution = 256,
     seed: Seed = 0,
     out: Out = Path("sd.png"),
@@ -52,9 +56,9 @@ def sd(
     sharpness = alpha / (0.5 * max(xmax - xmin, ymax - ymin) or 1.0)
 
     def answer(points: Any, seed: int) -> Any:
-        return ng.sd(curve, points, alpha=sharpness, method=method, n=samples, seed=seed)
+        return ng.sd(curve, points, alpha=sharpness, method=method, n=samples, tol=tol, budget=budget, seed=seed)
 
-    draw(curve, answer, out, resolution, "smoothed distance", signed=False, seed=seed)
+    draw(curve, answer, out, resolution, "smoothed distance", signed=False, seed=seed, whole=budget is not None)
 
 
 @app.command

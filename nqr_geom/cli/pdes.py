@@ -11,7 +11,7 @@ from cyclopts import Parameter
 import nqr_geom as ng
 from nqr_geom import check
 from nqr_geom.cli._app import app
-from nqr_geom.cli._shared import Out, Resolution, Seed, Source, Text, draw, read_curve
+from nqr_geom.cli._shared import Budget, Out, Resolution, Seed, Source, Text, draw, read_curve
 from nqr_geom.curves.curve import Curve
 
 __all__ = ["laplace", "p_laplace"]
@@ -56,8 +56,10 @@ def laplace(
     ] = "waves",
     method: Annotated[str, Parameter(help="auto, wos, wos-lhs, wos-rqmc, structured, inet, boundary or fem.")] = "auto",
     tol: Annotated[
-        float, Parameter(help="Absolute error to aim for; the boundary solver goes to 1e-6 of the spread.")
-    ] = 1e-3,
+        float | None,
+        Parameter(help="Absolute error to reach, 1e-3 by default; the boundary solver goes to 1e-6 of the spread."),
+    ] = None,
+    budget: Budget = None,
     samples: Annotated[
         int | None, Parameter(name=["--samples", "-n"], help="Walks per query instead of tol (all but boundary, fem).")
     ] = None,
@@ -71,7 +73,7 @@ def laplace(
 
     curve, polygon = _read_outline(source, text, out)
     domain, boundary = Domain.of(polygon), _values(values, curve.bounds)
-    if method in ("auto", "boundary"):  # solved once for all bands of the picture
+    if method in ("auto", "boundary") and budget is None:  # solved once for all bands of the picture
         from nqr_geom.wos.boundary import solve
 
         solution = solve(domain, domain.boundary(boundary), 1e-6)
@@ -82,10 +84,10 @@ def laplace(
 
         def answer(points: Any, seed: int) -> Any:
             return ng.solve_laplace(
-                polygon, boundary, points, method=method, tol=tol, n=samples, seed=seed, outside="nan"
+                polygon, boundary, points, method=method, tol=tol, budget=budget, n=samples, seed=seed, outside="nan"
             )
 
-    draw(curve, answer, out, resolution, "harmonic function", signed=False, seed=seed)
+    draw(curve, answer, out, resolution, "harmonic function", signed=False, seed=seed, whole=budget is not None)
 
 
 @app.command

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from nqr_geom import check
 from nqr_geom.cli._app import app, out_console
-from nqr_geom.cli._shared import Seed, show_estimate
+from nqr_geom.cli._shared import Budget, Seed, Tol, show_estimate
 
 __all__ = ["render", "transmittance"]
 
@@ -30,6 +30,8 @@ def render(
     spp: Annotated[int, Parameter(name=["--spp", "-n"], help="Passes a pixel.")] = 64,
     width: Annotated[int, Parameter(help="Pixels; a .json scene has its own.")] = 320,
     height: Annotated[int, Parameter(help="Pixels; a .json scene has its own.")] = 240,
+    tol: Tol = None,
+    budget: Budget = None,
     seed: Seed = 0,
     report: Annotated[bool, Parameter(help="Say what the scene calls for and what ran.")] = False,
     out: Annotated[Path, Parameter(help="A picture (.png), or linear radiance (.npy).")] = Path("render.png"),
@@ -43,7 +45,7 @@ def render(
     from nqr_geom.render.film import save_picture
     from nqr_geom.render.world import lights_seen
 
-    estimate: Any = direct(made, spp=spp, method=method, seed=seed, full_output=True)
+    estimate: Any = direct(made, spp=spp, method=method, tol=tol, budget=budget, seed=seed, full_output=True)
     image = estimate.value.reshape(made.camera.height, made.camera.width, 3)
     if out.suffix.lower() == ".png":
         image = image + lights_seen(made)
@@ -71,6 +73,8 @@ def transmittance(
     ] = "stratified",
     samples: Annotated[int, Parameter(name=["--samples", "-n"], help="Density queries per ray.")] = 24,
     resolution: Annotated[int, Parameter(help="Pixels of the picture's longer side.")] = 256,
+    tol: Tol = None,
+    budget: Budget = None,
     seed: Seed = 0,
     report: Annotated[bool, Parameter(help="Say what the volume calls for and what ran.")] = False,
     out: Annotated[Path, Parameter(help="A picture (.png) or values (.npy).")] = Path("transmittance.png"),
@@ -80,7 +84,8 @@ def transmittance(
 
     check.choice("out", out.suffix.lower(), (".png", ".npy"))
     volume = named_volume(source, text=text, density=density, seed=seed)
-    image, estimate = see_through(volume, axis=axis, resolution=resolution, method=method, n=samples, seed=seed)
+    asked: dict[str, Any] = {"method": method, "n": samples, "tol": tol, "budget": budget, "seed": seed}
+    image, estimate = see_through(volume, axis=axis, resolution=resolution, **asked)
     if report:
         show_estimate(f"{source}: {method}, {samples} queries", estimate)
     out_console.print(f"wrote {save_image(out, image)}", highlight=False)

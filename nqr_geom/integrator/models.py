@@ -137,13 +137,23 @@ class Law:
         return min(max(math.log2(self.high_at(n) / max(self.high_at(2.0 * n), 1e-300)), 0.25), 4.0)
 
     def size_for(self, error: float, most: int = 2**22) -> int | None:
-        """Fewest samples with a 95% quantile of at most `error`, by fourths of doublings; None if it takes too many."""
-        n = float(self.sizes[0])
-        while self.high_at(n) > error:
-            n *= 2.0**0.25
-            if n > most:
-                return None
-        return round(n)
+        """Fewest samples with a 95% quantile of at most `error`; None if it takes too many."""
+        if self.high[0] <= error:
+            return self.sizes[0]
+        wanted = math.log(error)
+        found = math.inf
+        for k in range(1, len(self.sizes)):
+            last, here = math.log(self.high[k - 1]), math.log(max(self.high[k], 1e-300))
+            if here <= wanted:
+                part = (last - wanted) / (last - here)
+                found = self.sizes[k - 1] * (self.sizes[k] / self.sizes[k - 1]) ** part
+                break
+        else:
+            n = float(self.sizes[-1])
+            slope = math.log(self.high_at(2.0 * n) / self.high_at(n)) / math.log(2.0)
+            if slope < 0.0:
+                found = n * math.exp(min((wanted - math.log(self.high_at(n))) / slope, 700.0))
+        return math.ceil(found * (1.0 - 1e-12)) if found <= most else None
 
 
 @dataclass(frozen=True)

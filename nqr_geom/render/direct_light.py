@@ -99,8 +99,8 @@ def direct(
         from nqr_geom.integrator.pursue import pursue
         from nqr_geom.render.plans import brightness, direct_ways
 
+        unit = brightness(problem, seed)  # compiles what the scene calls for
         clock = Clock.start()
-        unit = brightness(problem, seed)
         goal = Goal.checked(problem.batch, tol, budget, scale=unit)
         estimate = pursue(direct_ways(problem, None if method == "auto" else [method], seed=seed), goal, clock)
     else:

@@ -39,7 +39,7 @@ def test_sampled_methods_and_polyline_files(tmp_path: Path) -> None:
 def test_every_band_of_a_picture_has_its_own_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds = []
 
-    def record(curve: ng.Curve, points: np.ndarray, *, method: str, n: int, seed: int) -> np.ndarray:
+    def record(curve: ng.Curve, points: np.ndarray, *, method: str, n: int, seed: int, **_) -> np.ndarray:
         seeds.append(seed)
         return np.zeros(len(points))
 
