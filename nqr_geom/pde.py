@@ -212,7 +212,7 @@ class _Question:
         from nqr_geom.wos.walk import Physics
 
         values, here, keys, domain = self.values, self.framed, self.keys, self.domain
-        physics = Physics(self.screening * domain.unit**2, _framed(domain, self.source))
+        physics = Physics(_in_frame("screening", self.screening, domain), _framed(domain, self.source))
         few: dict[str, Any] = {"max_steps": max_steps or 12, "epsilon": epsilon, "seed": seed}
         far = {"epsilon": epsilon, "max_steps": max_steps or _STEPS, "physics": physics}
 
@@ -253,13 +253,23 @@ def inside_of(domain: Domain, points: ArrayLike, outside: str) -> tuple[Floats, 
     return framed, inside
 
 
+def _in_frame(name: str, coefficient: float, domain: Domain) -> float:
+    """A coefficient per squared length in the domain's frame."""
+    framed = coefficient * domain.unit * domain.unit
+    if not np.isfinite(framed):
+        raise ValueError(
+            f"{name}: expected a polygon whose squared size is finite where there is one, got {domain.unit:.3g}"
+        )
+    return framed
+
+
 def _framed(domain: Domain, source: Source) -> Callable[[Floats], Floats] | None:
     """A source in the domain's frame, where lengths are shorter by its unit."""
     from nqr_geom.wos.domain import evaluated
 
     if source is None:
         return None
-    area = domain.unit**2
+    area = _in_frame("source", 1.0, domain)
     if callable(source):
         function = source
         return lambda framed: area * evaluated("source", function, domain.from_frame(framed))

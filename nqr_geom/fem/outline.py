@@ -58,7 +58,8 @@ class Outline:
         rings = _rings(polygon)
         vertices = np.concatenate(rings)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        extent = float((high - low).max())
+        with np.errstate(over="ignore"):
+            extent = float((high - low).max())
         if not 1e-150 < extent < 1e150:
             raise ValueError(f"polygon: expected an extent between 1e-150 and 1e150, got {extent}")
         centre = low + 0.5 * (high - low)
@@ -144,7 +145,10 @@ def _rings(polygon: Any) -> list[Floats]:
         rings = [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
     else:
         rings = [polygon]
-    return [check.array("polygon", ring, ("n", 2)) for ring in rings]
+    checked = [check.array("polygon", ring, ("n", 2)) for ring in rings]
+    if any(len(ring) < 3 for ring in checked):
+        raise ValueError(f"polygon: expected at least 3 distinct vertices a ring, got {min(map(len, checked))}")
+    return checked
 
 
 def _edges_of_ring(ring: Floats, rounding: float) -> Integers:

@@ -47,7 +47,8 @@ def slab(origins: Floats, directions: Floats, size: Floats) -> tuple[Floats, Flo
     """Distances (m,) at which lines enter and leave the box [0, size]; the end comes first where they miss it."""
     flat = directions == 0.0
     safe = np.where(flat, 1.0, directions)
-    ends = np.sort(np.stack([-origins / safe, (size - origins) / safe]), axis=0)
+    with np.errstate(over="ignore"):  # nearly parallel to a face: it is met at infinity
+        ends = np.sort(np.stack([-origins / safe, (size - origins) / safe]), axis=0)
     inside = (origins >= 0.0) & (origins <= size)
     near = np.where(flat, np.where(inside, -np.inf, np.inf), ends[0]).max(axis=1)
     far = np.where(flat, np.where(inside, np.inf, -np.inf), ends[1]).min(axis=1)
