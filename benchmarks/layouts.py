@@ -123,11 +123,19 @@ def toy_ablation(rows: list[Row]) -> str:
 
 def joint_training(rows: list[Row]) -> str:
     """Begun from nothing or on a base sampler, by gaps or by a grid; frozen samplers show the integrator's own part."""
-    table = markdown(
+    return _pictures([("joint-training.png", "error against iterations of joint training")]) + _trainings(rows)
+
+
+def step_ablation(rows: list[Row]) -> str:
+    """Fig. 31: what a sampler of walks sees before it chooses a direction."""
+    return _pictures([("step-ablation.png", "error against iterations of joint training")]) + _trainings(rows)
+
+
+def _trainings(rows: list[Row]) -> str:
+    return markdown(
         ["the sampler", "mean squared error early", "at the end", "x Monte Carlo"],
         [[row["variant"], short(row["first"]), short(row["mse"]), short(row["ratio"])] for row in rows],
     )
-    return _pictures([("joint-training.png", "error against iterations of joint training")]) + table
 
 
 def toy_convergence(rows: list[Row]) -> str:

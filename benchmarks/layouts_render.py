@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from page import Row, interval, markdown, short
+from page import Row, interval, markdown, short, span
 
 
 def transmittance(rows: list[Row]) -> str:
@@ -32,6 +32,19 @@ def transmittance(rows: list[Row]) -> str:
             ]
             for row in rows
             if "ratio" in row
+        ],
+    )
+
+
+def learned_transmittance(rows: list[Row]) -> str:
+    """Networks beside their bases on the same queries of whole rays; those of cloudy stretches are in the JSON."""
+    return markdown(
+        ["24 queries a ray", "mean squared error", "x random", "95%", "x its base", "95%"],
+        [
+            [f"{row['set']}: {row['design']} + {row['rule']}", short(row["mse"]), short(row["ratio"]), interval(row)]
+            + ([short(row["gain"]), span(row["gain_interval"])] if "gain" in row else ["", ""])
+            for row in rows
+            if row["support"] == "bounds" and row["rule"] != "uniform"
         ],
     )
 

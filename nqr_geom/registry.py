@@ -81,6 +81,7 @@ _MODELS = (
     ("transmittance-uniform", "transmittance", "network that corrects plain ray marching through clouds"),
     ("direct-mis", "direct", "network that corrects the balance heuristic of direct light"),
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
+    ("laplace-spread", "laplace", "network that weighs walks which avoid each other"),
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
 )
 # Pairs that were trained together: also the sampler "snet-" + name and the rule "inet-" + name.
@@ -345,7 +346,7 @@ ALIASES: dict[str, str] = {
     "laplace:structured": "walk-spread+walk-fit",
     "laplace:wos-rqmc": "array-rqmc+mc",
     "laplace:wos-lhs": "latin-hypercube+mc",
-    "laplace:inet": "latin-hypercube+inet-laplace-uniform",
+    "laplace:inet": "walk-spread+inet-laplace-spread",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "gwn:student": "stratified+inet-gwn-student",
