@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check, registry
 from nqr_geom.chunks import by_chunks
-from nqr_geom.pde_plans import Solvers, first_choice, laplace_ways, spread_of
+from nqr_geom.pde_plans import BY_RULE, LEARNED, Solvers, first_choice, laplace_ways, spread_of
 from nqr_geom.pde_walks import by_walks, deterministic
 
 if TYPE_CHECKING:
@@ -28,9 +28,8 @@ __all__ = ["METHODS", "solve_laplace"]
 Floats = NDArray[np.float64]
 Source = Callable[[Floats], ArrayLike] | float | None
 
-METHODS = ("auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem")
+METHODS = ("auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "nqr", "boundary", "fem")
 _OUTSIDE = ("raise", "nan")
-_BY_RULE = ("wos-lhs", "wos-rqmc", "structured", "inet")  # a sampler and a rule over `n` walks of few steps
 
 _STEPS = 10_000  # of a walk that is not told otherwise: it ends after some ten or twenty
 
@@ -63,7 +62,7 @@ def _by_solution(solution: BoundarySolution, points: ArrayLike, rows: ArrayLike,
 
 def _only_laplace(method: str, physics: Physics) -> None:
     """Refuse a source or screening for methods that know neither."""
-    if method in ("boundary", *_BY_RULE) and (physics.screening > 0.0 or physics.source is not None):
+    if method in ("boundary", *BY_RULE) and (physics.screening > 0.0 or physics.source is not None):
         what = "screening" if physics.screening > 0.0 else "source"
         raise ValueError(f"{what}: expected none with method {method!r}, which solves Laplace's equation, got one")
 
@@ -99,12 +98,13 @@ def solve_laplace(
     points : (m, 2) array_like, or dask array
         Queries, finite. A dask array gives one back that is computed chunk by chunk, by a method that treats every
         point by itself: "boundary" ("auto" too), which is solved once, "wos" with `n`, or one with a rule.
-    method : {"auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"}
+    method : {"auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "nqr", "boundary", "fem"}
         "boundary": deterministic, to many digits, Laplace only. "wos": independent walks to the epsilon shell.
         "wos-lhs": `n` walks of at most `max_steps` (12) steps with Latin hypercube directions, as in the paper.
-        "wos-rqmc": such walks, sorted before every step and spread again. "structured": Latin hypercube walks whose
-        closest points rebuild the boundary; the answer is the mean under its harmonic measure. "inet": the same walks,
-        weighed by a network; it is trained on 32 walks of 12 steps.
+        "wos-rqmc": such walks, sorted before every step and spread again. "structured": walks that go where none has
+        ended yet; their closest points rebuild the boundary, and the answer is the mean under its harmonic measure.
+        "inet": such walks, weighed by a network too. "nqr": walks whose directions a network chooses step by step,
+        weighed by another. Networks are trained on 32 walks of 12 steps.
         "fem": finite elements. "auto": what should meet `tol` at the least cost.
     tol : float, optional
         Absolute error to reach, 1e-3 if nothing says how much: "auto" takes the method that should get there at the
@@ -116,7 +116,7 @@ def solve_laplace(
         do not count. With `tol` too, the cheapest answer within `tol`, as long as the time lasts.
     n : int, optional
         Walks a query, in place of tol and budget. 32 where nothing else is said for "wos-lhs", "wos-rqmc",
-        "structured", "inet", with a cap on their steps.
+        "structured", "inet", "nqr", with a cap on their steps.
     max_steps : int, optional
         Jumps of a walk before it takes the boundary value closest to it; such walks are counted. 10,000 by default.
     epsilon : float
@@ -174,17 +174,17 @@ def solve_laplace(
     framed, inside = inside_of(domain, points, outside)
     keys = check.rows(rows, len(framed))[inside]
     _only_laplace(method, Physics(screening, source))  # type: ignore[arg-type]
-    if method == "inet" and max_steps not in (None, 12):
-        raise ValueError(f"max_steps: expected 12 with method 'inet', which is trained on them, got {max_steps}")
+    if method in LEARNED and max_steps not in (None, 12):
+        raise ValueError(f"max_steps: expected 12 with method {method!r}, which is trained on them, got {max_steps}")
     here = framed[inside]
     asked = _Question(polygon, boundary, source, screening, domain, values, here, keys)
     solvers = asked.solvers(max_steps, epsilon, seed)
     goal = Goal.checked(len(here), tol, budget, scale=spread_of(values), size=float(len(domain)))
     if tol is None and budget is None:
-        n = n or 32 if method in _BY_RULE else n
+        n = n or 32 if method in BY_RULE else n
         goal = replace(goal, tol=1e-3)
     everything = np.arange(len(here))
-    if n is not None and method in ("wos", *_BY_RULE):
+    if n is not None and method in ("wos", *BY_RULE):
         draw = solvers.walks if method == "wos" else partial(solvers.rule, method)
         estimate = draw(everything, n, 0)
         estimate = replace(estimate, plan={**estimate.plan, "method": method, "tol": tol})

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from nqr_geom.integrator.plan import Goal, Way
     from nqr_geom.wos.domain import Boundary
 
-__all__ = ["Solvers", "first_choice", "laplace_ways", "spread_of"]
+__all__ = ["BY_RULE", "LEARNED", "Solvers", "first_choice", "laplace_ways", "spread_of"]
 
 Rows = NDArray[np.int64]
 
-_BY_RULE = ("structured", "wos-lhs", "wos-rqmc", "inet")
+LEARNED = ("inet", "nqr")
+BY_RULE = ("structured", "wos-lhs", "wos-rqmc", *LEARNED)  # a sampler and a rule over `n` walks of few steps
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def laplace_ways(solvers: Solvers, methods: Sequence[str] | None = None) -> list
         known = _model(name, solvers.plain)
         if name in sure:
             ways.append(Way(name, known, solve=sure[name]))
-        elif name in _BY_RULE:
+        elif name in BY_RULE:
             ways.append(Way(name, known, draw=_by_rule(solvers, name), least=8))
         else:
             ways.append(Way(name, known, draw=solvers.walks, least=32, independent=True))

@@ -229,7 +229,7 @@ RECIPES: dict[str, Recipe] = {
             ),
             sees=_WALK_SEES,
             extra=P_TOKENS,
-            designs=("random", "latin-hypercube"),
+            designs=("walk-spread",),
             largest=128,
         ),
     )

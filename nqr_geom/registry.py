@@ -33,7 +33,7 @@ class Entry:
     linear : bool
         Whether the estimate is linear in the values.
     dims : str
-        "any" or "1".
+        "any", or the only number of dimensions.
     needs : str
         What samples must bring: "pdf", "strata", "halves", "control", "techniques", "nodes", the name of the
         only problem that brings it, "curves" for either problem on curves, or "".
@@ -89,9 +89,10 @@ _PAIRS = (
     ("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),
     ("sd-nqr", "sd", "samples placed by a network for smoothed distances, and the network that weighs them"),
     ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
+    ("laplace-nqr", "laplace", "walks that a network directs step by step, and the network that weighs them"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
-_WIDE = ("laplace", "direct")  # problems of more than one dimension
+_DIMS = {"laplace": "12", "direct": "any"}  # of what networks know; else one
 
 
 _TABLE: dict[str, tuple[Entry, ...]] = {
@@ -155,7 +156,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
                 _RECIPES + "sampler",
                 summary,
                 {"name": name},
-                dims="1",
+                dims=_DIMS.get(problem, "1"),
                 needs=problem,
                 adaptive=True,
             )
@@ -297,7 +298,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
                 summary,
                 {"name": name},
                 linear=False,
-                dims="any" if problem in _WIDE else "1",
+                dims=_DIMS.get(problem, "1"),
                 needs=problem,
                 pieces=6 if problem in ("gwn", "sd") else 0,
             )
@@ -319,7 +320,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             summary,
             options={"name": name},
             linear=False,
-            dims="any" if problem in _WIDE else "1",
+            dims=_DIMS.get(problem, "1"),
             needs=problem,
         )
         for name, problem, summary in _MODELS + _PAIRS
@@ -347,6 +348,7 @@ ALIASES: dict[str, str] = {
     "laplace:wos-rqmc": "array-rqmc+mc",
     "laplace:wos-lhs": "latin-hypercube+mc",
     "laplace:inet": "walk-spread+inet-laplace-spread",
+    "laplace:nqr": "snet-laplace-nqr+inet-laplace-nqr",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "gwn:student": "stratified+inet-gwn-student",

@@ -94,6 +94,13 @@ def kind_of(problem: str, pair: tuple[str, str]) -> str:
     return "structured" if rule == structured else "classical"
 
 
+def _design(model: str) -> str:
+    """The best spread samples that a network was trained on."""
+    from nqr_geom.recipes import rule_of
+
+    return next(name for name in rule_of(model).designs if name != "random")
+
+
 def _names(problem: str, dim: int, everything: bool) -> dict[str, tuple[str, str]]:
     """Name -> pair of all that may be tried; of two names for one pair the application's own stays.
 
@@ -102,7 +109,7 @@ def _names(problem: str, dim: int, everything: bool) -> dict[str, tuple[str, str
     owned = [alias.partition(":")[2] for alias in registry.ALIASES if alias.startswith(f"{problem}:")]
     common = [alias for alias in registry.ALIASES if ":" not in alias]
     trained = [
-        f"{'latin-hypercube' if problem == 'laplace' else 'stratified'}+{entry.name}"
+        f"{_design(entry.options['name'])}+{entry.name}"
         for entry in registry.entries("rule")
         if entry.name.startswith("inet-") and entry.needs == problem and not entry.name.endswith("-nqr")
     ]

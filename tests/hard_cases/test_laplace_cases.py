@@ -17,7 +17,10 @@ def test_auto_says_what_it_chose():
     dear = ng.solve_laplace(UNIT, np.arange(4.0), many, tol=1e-4, full_output=True)
     assert dear.plan["method"] == "boundary"
     assert dear.plan["error"] < 1e-4
-    assert ng.solve_laplace(UNIT, np.zeros(4), [[0.5, 0.5]], source=1.0, full_output=True).plan["method"] == "fem"
+    heated = ng.solve_laplace(UNIT, np.zeros(4), [[0.5, 0.5]], source=1.0, full_output=True)
+    assert heated.plan["method"] in ("wos", "fem")  # what else knows a source? Walks are cheaper for one query
+    assert abs(heated.value[0, 0] - 0.0736713533) < 1e-3  # of a series of sines
+    assert heated.plan["met"]
 
 
 def test_an_absolute_shell_is_biased_by_a_hundredth_in_the_channel():
@@ -26,6 +29,6 @@ def test_an_absolute_shell_is_biased_by_a_hundredth_in_the_channel():
     assert abs(wide[0] - 0.25) > 0.015
 
 
-@pytest.mark.parametrize("method", ["wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"])
+@pytest.mark.parametrize("method", ["wos", "wos-lhs", "wos-rqmc", "structured", "inet", "nqr", "boundary", "fem"])
 def test_no_points(method):
     assert ng.solve_laplace(UNIT, np.arange(4.0), np.zeros((0, 2)), method=method).shape == (0,)

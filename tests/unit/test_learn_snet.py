@@ -21,6 +21,7 @@ from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema
 from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.recipes import JOINT
+from nqr_geom.render.training import transmittance_batch
 from nqr_geom.streams import Stream
 from nqr_geom.toy.gaps import ToyGaps
 from nqr_geom.toy.problem import ToyProblem
@@ -38,8 +39,10 @@ NETS = {name: recipe.snet for name, recipe in JOINT.items()} | {
 
 def problem_of(name: str, n: int) -> Problem:
     rows = torch.arange(n)
-    if name == "walk":
+    if name in ("walk", "laplace-nqr"):
         return LaplaceProblem.family(1, 5, "validation", points=n)
+    if name.startswith("transmittance"):
+        return transmittance_batch(rows, 5, "validation").problem
     if name.startswith("sd"):
         return sd_batch(rows, 5, "validation").problem
     return gwn_batch(rows, 5, "validation").problem if name.startswith("gwn") else ToyProblem(rows, 5, "validation")
@@ -83,7 +86,7 @@ def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:
     assert drawn.min() >= 0.999 * net.config.floor**net.config.tokens.dim  # of every coordinate
 
 
-@pytest.mark.parametrize("name", [name for name in NETS if name != "walk"])
+@pytest.mark.parametrize("name", [name for name in NETS if name not in ("walk", "laplace-nqr")])
 def test_the_density_is_that_of_the_points(name: str) -> None:
     """1/p of a point averages to one, and probabilities of its place are uniform, whatever the network says."""
     net = disturbed(NETS[name]())
