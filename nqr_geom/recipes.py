@@ -217,7 +217,7 @@ RECIPES: dict[str, Recipe] = {
             problem="p-laplace",
             family=p_laplace_batch,
             base="inet-laplace-uniform",  # the answer for p = 2
-            consistent="inet-laplace-uniform",
+            consistent="inet-laplace-spread",
             config=INetConfig(
                 replace(_WALK, extra=P_TOKENS.size),
                 layers=2,

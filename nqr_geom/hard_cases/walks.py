@@ -13,7 +13,7 @@ from nqr_geom.hard_cases.laplace import TABLE, UNIT, Row, _constant, _maximum, _
 
 __all__ = ["cases"]
 
-METHODS = ("wos-lhs", "wos-rqmc", "structured", "inet", "nqr")
+METHODS = ("wos-lhs", "wos-rqmc", "structured", "inet")
 
 # 12 steps leave walks unfinished, so that their own bias is in the error of all of them alike.
 _ROWS = ("jump on the square", "re-entrant corner", "channel", "comb with teeth 0.02 wide", "sieve of 20 holes",
@@ -64,7 +64,7 @@ def cases() -> list[Case]:
             made.append(Case(group, f"a constant [{value:g}, {method}]", partial(_constant, method, value), 0.0, naive))
         made.append(Case(group, f"NaN outside [{method}]", partial(_outside, method), 0.0))
         made.append(outside_refused(group, method))
-        if method not in ("inet", "nqr"):  # its weights may be negative
+        if method != "inet":  # its weights may be negative
             made.append(Case(group, f"maximum principle [{method}]", partial(_maximum, method), 1e-9))
     for name, change, words in _REFUSED:
         arguments = {"polygon": UNIT, "boundary": np.zeros(4), "points": [[0.5, 0.5]], **change}

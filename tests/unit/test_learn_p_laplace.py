@@ -142,6 +142,6 @@ def test_the_shipped_network_answers_through_the_public_door() -> None:
 def test_more_walks_are_answered_by_the_network_for_two() -> None:
     problem = replace(LaplaceProblem.of(VERTICES, VALUES, POINTS), rows=torch.arange(len(POINTS)))
     samples = registry.make("sampler", "random").draw(problem, 300, Stream(0))
-    rules = (registry.make("rule", name) for name in ("inet-p-laplace", "inet-laplace-uniform"))
+    rules = (registry.make("rule", name) for name in ("inet-p-laplace", "inet-laplace-spread"))
     mine, theirs = (rule.combine(samples).estimate(samples) for rule in rules)
     assert torch.equal(mine, theirs)
