@@ -189,7 +189,7 @@ def validate(variant: Variant, net: INet, config: TrainConfig) -> tuple[float, f
 @torch.no_grad()
 def squared_errors(problem: SdProblem, nets: dict[str, INet]) -> dict[str, np.ndarray]:
     """Squared errors (B,) of Monte Carlo and every variant on the same random samples."""
-    drawn = sort_samples(draw_samples(problem, ("random",), N, Stream(SEED, "test", "samples/0")))[0]
+    drawn = sort_samples(draw_samples(problem, ("random",), N, Stream(SEED, "test", "samples/0")))
     samples, link = problem.finalize(drawn)
     truth = torch.from_numpy(problem.reference())
     found = {"MC": link(row_mean(samples.value[:, :, 0]))}

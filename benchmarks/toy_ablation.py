@@ -161,7 +161,7 @@ def validate(variant: Variant, net: INet, config: TrainConfig) -> tuple[float, f
 def errors_on(problem: Problem, nets: dict[str, INet]) -> dict[str, np.ndarray]:
     """Squared errors (B, 1) of Monte Carlo, the trapezoid and every variant on the same random samples."""
     samples = draw_samples(problem, ("random",), N, Stream(SEED, "test", "samples/0"))
-    samples = sort_samples(samples)[0]
+    samples = sort_samples(samples)
     truth = torch.from_numpy(problem.reference())
     answers = {name: registry.make("rule", name).combine(samples).estimate(samples) for name in ("mc", "trapezoid")}
     for variant in VARIANTS:

@@ -77,6 +77,9 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "direct": _direct,
 }
 
+# Plain rules work there, too; they are held to their laws in fewer dimensions.
+FOR_NETWORKS = ("laplace in 12 steps",)
+
 _ANY = ("line", "square", "toy", "gwn", "sd", "laplace", "transmittance")
 
 # What an entry needs -> the problems that bring it.

@@ -57,7 +57,7 @@ def toy_tokens(samples: Samples) -> Tensor:
 
 def _unlike(samples: Samples) -> Tensor:
     """Integrands, (B,) bool, that do not vary, or between their pieces only: those of the family vary within, too."""
-    value, _ = sort_samples(samples)
+    value = sort_samples(samples)
     piece = value.feature("piece", "inet")[:, :, 0, 0]
     rise = value.value[:, :, 0, 0].diff(dim=1).abs()
     total, across = rise.sum(dim=1), torch.where(piece.diff(dim=1) != 0, rise, 0.0).sum(dim=1)

@@ -36,7 +36,7 @@ def close(got, expected, tolerance):
 def test_a_rule_accepts_what_it_declares_and_refuses_the_rest_by_name(rule):
     accepted = {(name, sampler) for name, sampler, _ in fixtures.accepted(rule, 8)}
     made = registry.make("rule", rule.name)
-    for name in fixtures.PROBLEMS:
+    for name in fixtures.PROBLEMS.keys() - set(fixtures.FOR_NETWORKS):
         for sampler in fixtures.samplers_for(name):
             samples = fixtures.draw(name, sampler, 8)
             if (name, sampler) in accepted:
@@ -68,6 +68,8 @@ def polynomials(rule, n, degree):
         if samples.pdf is not None:  # the fit weighs samples by their share of the cube
             design = design / np.sqrt(samples.pdf[:, :, :1].numpy())
         determined = [n >= len(powers) and np.linalg.cond(row) < 1e4 for row in design]
+        if not any(determined):
+            continue
         for power, column in zip(powers, columns, strict=True):
             got = estimate(rule, fixtures.with_values(samples, column[..., None, None]))[determined]
             close(got, np.prod([1.0 / (k + 1) for k in power]), 1e-9)

@@ -36,7 +36,7 @@ def problem_of(control: Tensor, points: Tensor, alpha: float = ALPHA) -> SdProbl
 
 def seen(problem: SdProblem, n: int = 32) -> Samples:
     samples = draw_samples(problem, RECIPE.designs, n, Stream(3, "validation"))
-    return problem.finalize(sort_samples(samples)[0])[0]
+    return problem.finalize(sort_samples(samples))[0]
 
 
 def exact(control: Tensor, points: Tensor, alpha: float = ALPHA) -> np.ndarray:
@@ -138,7 +138,7 @@ def test_residuals_are_relative_and_know_no_scale(shapes: tuple[Tensor, Tensor])
     for scale in (1.0, 20.0):
         problem = problem_of(scale * control, scale * points, ALPHA / scale)
         answer = torch.from_numpy(exact(scale * control, scale * points, ALPHA / scale))[:, None]
-        samples = sort_samples(draw_samples(problem, RECIPE.designs, 32, Stream(3, "validation")))[0]
+        samples = sort_samples(draw_samples(problem, RECIPE.designs, 32, Stream(3, "validation")))
         with torch.no_grad():
             before, behind = residuals(recipe, net, Batch(problem, answer), samples)
         assert behind is not None
@@ -165,7 +165,7 @@ def test_the_loss_is_finite_whatever_comes(shapes: tuple[Tensor, Tensor], alpha:
     points = torch.cat([control[:7, 2, 0], 1e3 * scale * shapes[1][7:14], scale * shapes[1][14:20]])
     problem = problem_of(control, points, alpha)
     batch = Batch(problem, torch.from_numpy(exact(control, points, alpha))[:, None])
-    samples = sort_samples(draw_samples(problem, RECIPE.designs, 16, Stream(3, "validation")))[0]
+    samples = sort_samples(draw_samples(problem, RECIPE.designs, 16, Stream(3, "validation")))
     for size in (0.0, 1.0, 100.0):
         net = shaken(RECIPE, size)
         value = loss(RECIPE, net, batch, samples)

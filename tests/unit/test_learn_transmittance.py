@@ -29,7 +29,7 @@ ROWS = torch.arange(400)
 
 
 def seen(problem: Problem, designs: tuple[str, ...] = ("uniform-jitter",), n: int = 24) -> Samples:
-    return sort_samples(draw_samples(problem, designs, n, Stream(3, "validation")))[0]
+    return sort_samples(draw_samples(problem, designs, n, Stream(3, "validation")))
 
 
 def rays_of(batch: Batch) -> training.Rays:

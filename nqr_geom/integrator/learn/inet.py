@@ -14,7 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, sort_samples, standard, tokenize
+from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, standard, tokenize
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
@@ -245,9 +245,11 @@ class LearnedRule(Rule):
         """The network's outputs for every sample, (B, N, T, outputs).
 
         Rows go through in tiles of a size that depends on the length alone, from tokens to outputs while they are in
-        the cache; the last tile is filled up.
+        the cache; the last tile is filled up. They are in the order of their first coordinate, so that another order of
+        the same samples changes no bit.
         """
-        ordered, order = sort_samples(samples)
+        order = samples.x[..., 0].argsort(dim=1, stable=True)
+        ordered = samples.permuted(order) if samples.dim == 1 else samples
         b, n, t = samples.value.shape[:3]
         rows = max(1, TILE_TOKENS // (n * t))
         kind = self.net.head.weight.dtype
@@ -257,11 +259,11 @@ class LearnedRule(Rule):
         with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=half):
             for start in range(0, b, rows):
                 part = slice(start, min(start + rows, b))
-                tokens = tokenize(ordered.take(part), self.net.config.tokens, self.extra, kind).flatten(1, 2)
-                tile = torch.nn.functional.pad(tokens, (0, 0, 0, 0, 0, rows - len(tokens)))
+                tokens = tokenize(ordered.take(part), self.net.config.tokens, self.extra, kind)
+                if samples.dim > 1:  # tokens do not know their neighbours, and are less to move than samples
+                    tokens = tokens.gather(1, order[part][..., None, None].expand_as(tokens))
+                tile = torch.nn.functional.pad(tokens.flatten(1, 2), (0, 0, 0, 0, 0, rows - len(tokens)))
                 raw[part] = self.net(tile)[: len(tokens)].unflatten(1, (n, t))
-        if order is None:
-            return raw
         return torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
 
 

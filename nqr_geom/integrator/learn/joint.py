@@ -149,7 +149,7 @@ def train_jointly(
     devices: int = 1,
     num_nodes: int = 1,
     accelerator: str = "cpu",
-    precision: str = "bf16-mixed",
+    precision: str | None = None,
     progress: bool = True,
 ) -> tuple[INet, SNet]:
     """Train a pair, or go on with a run that was begun in the same folder.
@@ -165,7 +165,7 @@ def train_jointly(
     start_from : path, optional
         Run of the recipe `recipe.begin`: a new run begins with its averaged network.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`.
+        As for `lightning_fabric.Fabric`; by default matrices are multiplied in bfloat16 where the hardware does so.
     progress : bool
         Show a progress bar.
 
@@ -194,7 +194,7 @@ def train_jointly(
 
     def lesson(iteration: int, rows: Tensor) -> Tensor:
         batch, rollout = roll_out(recipe, snet, rows, recipe.rule.size(sizes, iteration), config)
-        before, behind = residuals(recipe.rule, integrator.model, batch, sort_samples(rollout.samples)[0])
+        before, behind = residuals(recipe.rule, integrator.model, batch, sort_samples(rollout.samples))
         value = robust(recipe.rule, before, behind)
         rate = learning_rate(config, iteration)
         integrator.step(value, rate, iteration)

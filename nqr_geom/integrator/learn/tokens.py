@@ -159,12 +159,11 @@ def standard(value: Tensor, config: TokenConfig) -> tuple[Tensor, Tensor]:
     return value, torch.where((mean > 0.0) & mean.isfinite(), mean, 1.0)
 
 
-def sort_samples(samples: Samples) -> tuple[Samples, Tensor | None]:
-    """Samples in the order of x, and that order (B, N); in more than one dimension nothing is moved."""
+def sort_samples(samples: Samples) -> Samples:
+    """Samples in the order of x; in more than one dimension nothing is moved."""
     if samples.dim != 1:
-        return samples, None
-    order = samples.x[..., 0].argsort(dim=1, stable=True)
-    return samples.permuted(order), order
+        return samples
+    return samples.permuted(samples.x[..., 0].argsort(dim=1, stable=True))
 
 
 def _neighbours(x: Tensor) -> Tensor:

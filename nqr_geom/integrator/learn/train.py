@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.integrator.learn.inet import INet, correct
+from nqr_geom.integrator.learn.inet import INet, correct, has_bfloat16
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
@@ -89,7 +89,7 @@ def draw_batch(
         samples = draw_samples(batch.problem, recipe.designs, n, stream)
     else:
         samples = sampler.draw(batch.problem, n, stream)
-    return batch, sort_samples(samples)[0]
+    return batch, sort_samples(samples)
 
 
 def draw_lesson(recipe: Recipe, rows: Tensor, n: int, seed: int) -> tuple[Batch, Samples]:
@@ -173,7 +173,7 @@ def train(
     devices: int = 1,
     num_nodes: int = 1,
     accelerator: str = "cpu",
-    precision: str = "bf16-mixed",
+    precision: str | None = None,
     progress: bool = True,
 ) -> INet:
     """Train a recipe's network, or go on with a run that was begun in the same folder.
@@ -190,7 +190,7 @@ def train(
         Run of another recipe with the same layers, width and tokens, or with fewer of the application's quantities: a
         new run begins with its averaged weights, the heads aside, which always start as the base rule.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`.
+        As for `lightning_fabric.Fabric`; by default matrices are multiplied in bfloat16 where the hardware does so.
     progress : bool
         Show a progress bar.
 
@@ -291,8 +291,10 @@ def follow(
         run.plot()
 
 
-def launch(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
+def launch(devices: int, num_nodes: int, accelerator: str, precision: str | None) -> Any:
     """The launched Fabric; more than one process train by distributed data parallelism."""
+    if precision is None:
+        precision = "bf16-mixed" if accelerator != "cpu" or has_bfloat16() else "32-true"
     module = check.require("lightning_fabric", "learn", "training runs")
     strategy = "ddp" if devices * num_nodes > 1 else "auto"
     fabric = module.Fabric(

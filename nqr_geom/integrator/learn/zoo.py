@@ -240,7 +240,7 @@ def checked(samples: Samples, extra: Extra | None) -> Tensor:
         return samples.x.new_zeros(samples.x.shape[0], 1, 0)
     if extra.check is not None:
         return extra.check(samples).flatten(1, 2)
-    return extra.compute(sort_samples(samples)[0])[..., list(extra.checked)].flatten(1, 2)
+    return extra.compute(sort_samples(samples))[..., list(extra.checked)].flatten(1, 2)
 
 
 @dataclass(frozen=True)
