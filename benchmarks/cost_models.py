@@ -1,12 +1,12 @@
 """What methods cost and how far they are off: the models behind `tol=` and `budget=`.
 
-    cd benchmarks && python cost_models.py [--only gwn,sd] [--out ../nqr_geom/data/cost_models.json]
+    cd benchmarks && python cost_models.py [--only gwn,sd] [--errors] [--out ../nqr_geom/data/cost_models.json]
 
 Times are processor seconds on one thread, which a busy machine does not stretch: the shortest of a few runs at several
 numbers of integrals and samples, and a few named terms are fitted to them. Errors are measured on the random families,
 split "validation", which no test and no training meets: median and 95% quantile of the absolute error over queries, in
 the units of `Goal.scale`. "factor" is what a bound that a run states of itself has to be multiplied with so that 97 in
-100 hold.
+100 hold. With --errors times stay as they were measured before.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ OUT = Path(__file__).resolve().parents[1] / "nqr_geom" / "data" / "cost_models.j
 COVERED = 0.97
 PERIODS = 3  # of a timing; the shortest counts
 MOST = 8.0  # times a bound; what is farther off has not been seen at all
+LEAST = 0.1  # times a bound; two runs may agree by chance
 
 
 def shortest(call: Callable[[], Any], least: float = 0.0) -> float:
@@ -75,8 +76,9 @@ def monotone(errors: Sequence[float]) -> list[float]:
     return [float(v) for v in np.minimum.accumulate(errors)]
 
 
-def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Sequence[int], times: Any) -> dict[str, Any]:
-    """Model of a sampled method on some cases of one kind."""
+def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Sequence[int], times: Any,
+            before: dict[str, Any] | None) -> dict[str, Any]:  # fmt: skip
+    """Model of a sampled method on some cases of one kind; its times are those of the model `before`."""
     spent = []
     pieces = cases[0].size if name.partition("-")[0] in ("gwn", "sd") else 0.0  # where samples count by the piece
     per = [case.size / pieces if pieces else 1.0 for case in cases]
@@ -88,7 +90,11 @@ def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Seque
         error, ratio = (np.concatenate(part) for part in zip(*parts, strict=True))
         told["typical"].append(rounded(float(np.median(error)), 1e-15))
         told["high"].append(rounded(float(np.quantile(error, 0.95)), 1e-15))
-        told["factor"].append(rounded(min(float(np.quantile(ratio, COVERED)), MOST), 0.5))
+        told["factor"].append(rounded(min(float(np.quantile(ratio, COVERED)), MOST), LEAST))
+    told["typical"], told["high"] = monotone(told["typical"]), monotone(told["high"])
+    if before is not None:
+        print(f"{name}:{method}: {told}")
+        return {**before, "sizes": own, **told}
     for j, case in enumerate(cases):
         for rows in times["rows"] if j < times["cases"] else ():
             timed, index = case.of_rows(rows).way(method), np.arange(rows)
@@ -96,7 +102,6 @@ def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Seque
                 if n >= timed.least:
                     spent.append((rows, n, case.size, shortest(lambda w=timed, i=index, m=n: w.draw(i, m, 0))))
     cost = Cost.fit(times["terms"], spent)
-    told["typical"], told["high"] = monotone(told["typical"]), monotone(told["high"])
     off = max(abs(np.log(cost.seconds(*row[:3]) / row[3])) for row in spent)
     print(f"{name}:{method}: cost {dict(cost.terms)}, worst off by {np.exp(off):.2f}; {told}")
     return {"cost": dict(cost.terms), "sizes": own, **told, "size": pieces,
@@ -130,22 +135,29 @@ def solved(name: str, cases: Sequence[problems.Case], method: str, tols: Sequenc
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="")
+    parser.add_argument("--errors", action="store_true", help="keep the times")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()
     os.environ["NUMBA_NUM_THREADS"] = "1"
     torch.set_num_threads(1)
     names = options.only.split(",") if options.only else list(problems.STUDIES)
-    models: dict[str, Any] = {}
-    if options.only and options.out.exists():
-        models = json.loads(options.out.read_text())["models"]
+    whole: dict[str, Any] = {"models": {}}
+    if (options.only or options.errors) and options.out.exists():
+        whole = json.loads(options.out.read_text())
+    models = whole["models"]
     for name in names:
         start, cases = time.perf_counter(), problems.cases(name, "validation")
         for method, study in problems.STUDIES[name].items():
-            kind = solved if "tols" in study else sampled
-            models[f"{name}:{method}"] = kind(name, cases, method, **study)
+            key = f"{name}:{method}"
+            if "tols" not in study:
+                before = models.get(key) if options.errors else None
+                models[key] = sampled(name, cases, method, **study, before=before)
+            elif not options.errors:
+                models[key] = solved(name, cases, method, **study)
         print(f"  {name}: {time.perf_counter() - start:.0f} s", flush=True)
-        whole = {"machine": machine(), "versions": versions("numpy", "numba", "torch", "scipy"),
-                 "cores": cores("NUMBA_NUM_THREADS"), "speed": measured(), "models": models}  # fmt: skip
+        if not options.errors:
+            whole = {"machine": machine(), "versions": versions("numpy", "numba", "torch", "scipy"),
+                     "cores": cores("NUMBA_NUM_THREADS"), "speed": measured(), "models": models}  # fmt: skip
         write_whole(options.out, json.dumps(whole, indent=1) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Write the figures of README.md and docs/figures.md from the JSON that the other benchmarks left in results/.
+"""Write README's figures, docs/figures.md and docs/targets.md from the JSON that the benchmarks left in results/.
 
     python benchmarks/tables.py [--check]
 
@@ -16,6 +16,7 @@ import layouts
 import layouts_direct
 import layouts_render
 import layouts_sd
+import targets
 from layouts_time import learned_time
 from page import Row, interval, markdown, short, span
 
@@ -266,23 +267,35 @@ def figures(names: tuple[str, ...]) -> str:
     """The tables of the named benchmarks that have been run."""
     parts = []
     for name, title, table in SECTIONS:
-        path = RESULTS / f"{name}.json"
-        if name in names and path.exists():
-            report = json.loads(path.read_text())
-            parts.append(f"\n**{title}** (`python benchmarks/{name}.py`)\n\n{table(report['rows'])}")
+        rows = rows_of(name) if name in names else None
+        if rows is not None:
+            parts.append(f"\n**{title}** (`python benchmarks/{name}.py`)\n\n{table(rows)}")
     return "".join(parts)
 
 
 def pages() -> dict[Path, str]:
-    """What README.md and docs/figures.md should say."""
+    """What README.md, docs/figures.md and docs/targets.md should say."""
     readme = ROOT / "README.md"
     before, _, rest = readme.read_text().partition(START)
     _, _, after = rest.partition(END)
     where = "Measured by the scripts in `benchmarks/`, on the machine that each JSON in `benchmarks/results/` names"
-    short_list = f"\n## Figures\n\n{where}; [all of them](docs/figures.md).\n{figures(IN_README)}\n"
+    links = "[all of them](docs/figures.md), beside [what was to be reached](docs/targets.md)"
+    short_list = f"\n## Figures\n\n{where}; {links}.\n{figures(IN_README)}\n"
     whole = f"# Figures\n\n{where}. This page is written by `benchmarks/tables.py`.\n"
     every = tuple(name for name, _, _ in SECTIONS)
-    return {readme: before + START + short_list + END + after, ROOT / "docs" / "figures.md": whole + figures(every)}
+    docs = ROOT / "docs"
+    return {
+        readme: before + START + short_list + END + after,
+        docs / "figures.md": whole + figures(every),
+        docs / "targets.md": targets.page(rows_of),
+    }
+
+
+def rows_of(name: str) -> list[Row] | None:
+    """What a benchmark has measured, None where it has not been run."""
+    path = RESULTS / f"{name}.json"
+    rows: list[Row] | None = json.loads(path.read_text())["rows"] if path.exists() else None
+    return rows
 
 
 def main() -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,11 +89,16 @@ def _by_rule(solvers: Solvers, name: str) -> Callable[[Rows, int, int], Estimate
     return lambda rows, n, k: solvers.rule(name, rows, n, k)
 
 
+def _unasked(*_: Any) -> Estimate:
+    raise ValueError("method: expected to be compared, not to be run")
+
+
 def first_choice(plain: bool, goal: Goal) -> tuple[str, str]:
     """The method that should meet the goal's tolerance first, and the reason in words."""
-    from nqr_geom.integrator.plan import Way, cheapest
+    from nqr_geom.integrator.plan import cheapest
 
-    first, *others = cheapest([Way(name, _model(name, plain)) for name in _methods(plain)], goal)
+    forecast_only = Solvers(_unasked, _unasked, _unasked, _unasked, plain)
+    first, *others = cheapest(laplace_ways(forecast_only), goal)
     why = f"{first.way.method} should take {first.seconds:.2g} s"
     compared = ", ".join(f"{f.way.method} {f.seconds:.2g} s" for f in others if f.n is not None)
     return first.way.method, f"{why}, {compared}" if compared else why

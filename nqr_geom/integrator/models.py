@@ -203,6 +203,7 @@ def table() -> dict[str, Any]:
     return found
 
 
+@cache
 def model(problem: str, method: str) -> Model | None:
     """The measured model of a method on this machine, or None if there is none.
 

@@ -25,6 +25,8 @@ __all__ = ["Clock", "Forecast", "Goal", "Way", "cheapest", "forecast", "most_acc
 Rows = NDArray[np.int64]
 
 _SHARE = 0.7  # of the time that is left is handed out: what is predicted may be a third off
+_CHECKED = 2.0  # what finding out how far samples are off makes of their price: a first level, and one more than enough
+_ALIKE = 1e-9  # errors below it, in units of the scale, are as good as each other
 
 
 @dataclass(frozen=True)
@@ -154,11 +156,11 @@ class Forecast:
 
 
 def sizes_of(way: Way, n: int) -> tuple[int, ...]:
-    """Samples of the repetitions that make a level of n: two of different size where one does not tell its own error.
+    """Samples of the repetitions that make a level of n: half as many before, where a run does not tell its own error.
 
-    What both sizes share by chance is not seen, but what a size brings about is.
+    The last one is the answer, and how far it is from the one before tells how far it may be off.
     """
-    return (n,) if way.independent else (n, n + (n + 1) // 2)
+    return (n,) if way.independent else (max(way.least, (n + 1) // 2), n)
 
 
 def seconds_of(way: Way, goal: Goal, n: float, rows: int | None = None) -> float:
@@ -220,9 +222,11 @@ def _within(way: Way, goal: Goal, seconds: float) -> Forecast:
 
 def cheapest(ways: Sequence[Way], goal: Goal) -> list[Forecast]:
     """Forecasts for the tolerance, the cheapest first; those that cannot reach it last."""
-    return sorted((forecast(way, goal) for way in ways), key=lambda f: (f.seconds, f.error))
+    found = [forecast(way, goal) for way in ways]
+    return sorted(found, key=lambda f: (f.seconds * (_CHECKED if f.way.sampled else 1.0), f.error))
 
 
 def most_accurate(ways: Sequence[Way], goal: Goal, seconds: float) -> list[Forecast]:
     """Forecasts for a time, the most accurate first; those that do not fit last."""
-    return sorted((_within(way, goal, _SHARE * seconds) for way in ways), key=lambda f: (f.error, f.seconds))
+    found = [_within(way, goal, _SHARE * seconds) for way in ways]
+    return sorted(found, key=lambda f: (max(f.error, _ALIKE * goal.scale), f.seconds))

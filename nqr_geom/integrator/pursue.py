@@ -34,7 +34,8 @@ Rows = NDArray[np.int64]
 
 _MOST = {"samples": 2**20, "replicates": 2**14}  # samples an integral before a way is given up
 _GROWTH = 16.0  # of one level over the last at most
-_FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like
+_FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like,
+_WORTH = 0.5  # unless it takes more than this part of their time
 _PILOT = 0.08  # of a budget goes into finding out how fast this problem is
 _LEVELS, _CAREFUL = 8, 6.0  # of them at most, and how much bigger each: costs do not grow in proportion for ever
 _STALE = 0.9  # bounds that eight times the samples do not bring below this part of what they were will stay
@@ -111,22 +112,9 @@ class _Answer:
 
 
 def _joined(parts: Sequence[Estimate]) -> Estimate:
-    """Repetitions of the same integrals, merged: the mean, and what was done for all of them."""
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    statistics = first.statistics
-    for part in parts[1:]:
-        statistics = statistics.merge(part.statistics)
-    return replace(
-        first,
-        value=statistics.mean,
-        inner=np.mean([part.inner for part in parts], axis=0),
-        stderr=statistics.stderr,
-        counts={key: sum(part.counts[key] for part in parts) for key in first.counts},
-        fallback=np.any([part.fallback for part in parts], axis=0),
-        statistics=statistics,
-    )
+    """The last of some runs of the same integrals, with the work that all of them were."""
+    counts = {key: sum(part.counts[key] for part in parts) for key in parts[0].counts}
+    return replace(parts[-1], counts=counts, fallback=np.any([part.fallback for part in parts], axis=0))
 
 
 class _Sampling:
@@ -192,12 +180,14 @@ class _Sampling:
 
 
 def _start(sampling: _Sampling, forecast: Forecast) -> int:
-    """Samples of a first level: a part of what the worst integrals should take."""
-    way = sampling.way
+    """Samples of a first level: a part of what the worst integrals should take, or all where a part is no cheaper."""
+    way, goal = sampling.way, sampling.goal
     if not way.model.known:
         return way.least
     most = _MOST["samples" if way.independent else "replicates"]
-    return max(way.least, math.ceil(_FIRST * min(forecast.n or way.least, most)))
+    whole = max(way.least, min(forecast.n or way.least, most))
+    part = max(way.least, math.ceil(_FIRST * whole))
+    return part if seconds_of(way, goal, part) < _WORTH * seconds_of(way, goal, whole) else whole
 
 
 def _next(sampling: _Sampling, n: int, open_bounds: Floats, tol: float) -> int:
@@ -304,7 +294,8 @@ def pursue(ways: Sequence[Way], goal: Goal, clock: Clock | None = None) -> Estim
     clock = Clock.start() if clock is None else clock
     clock.budget = goal.budget
     answer = _Answer.empty(goal.rows)
-    _warm(ways, goal, clock)
+    if goal.budget is not None:
+        _warm(ways, goal, clock)
     listed, mode, why = _chosen(ways, goal, clock)
     rows, ends = np.arange(goal.rows), []
     if mode == "tol":
@@ -331,7 +322,7 @@ def pursue(ways: Sequence[Way], goal: Goal, clock: Clock | None = None) -> Estim
 
 def _warm(ways: Sequence[Way], goal: Goal, clock: Clock) -> None:
     """Import and compile what may be chosen, on one integral; it does not count."""
-    way = (cheapest(ways, goal) if goal.budget is None else most_accurate(ways, goal, clock.left))[0].way
+    way = most_accurate(ways, goal, clock.left)[0].way
     draw = way.draw
     if draw is not None and goal.rows:
         clock.warm(lambda: draw(np.arange(1), way.least, 0))  # torch and its kernels are loaded here

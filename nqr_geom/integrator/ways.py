@@ -15,7 +15,7 @@ from nqr_geom.integrator.problem import Problem
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.integrator.samplers import Sampler
 
-__all__ = ["measured_methods", "sampled_way", "sampled_ways"]
+__all__ = ["drawing", "measured_methods", "sampled_way", "sampled_ways"]
 
 Rows = NDArray[np.int64]
 
@@ -33,7 +33,8 @@ def measured_methods(problem: str) -> list[str]:
     return [key.partition(":")[2] for key in table()["models"] if key.partition(":")[0] == problem]
 
 
-def _drawing(problem: Problem, sampler: Sampler, rule: Rule, seed: int) -> Callable[[Rows, int, int], Estimate]:
+def drawing(problem: Problem, sampler: Sampler, rule: Rule, seed: int) -> Callable[[Rows, int, int], Estimate]:
+    """What a `Way` draws with: repetition k with n samples each of some rows of a problem."""
     import torch
 
     def draw(rows: Rows, n: int, k: int) -> Estimate:
@@ -68,7 +69,7 @@ def sampled_way(
     known = model(models or problem.name, method) or model(models or problem.name, f"{sampler}+{rule}")
     alone = sampler == "random" and made[1].averages
     least = max(least, _FEWEST) if alone else least
-    return Way(method, known or unknown(), draw=_drawing(problem, *made, seed), least=least, independent=alone)
+    return Way(method, known or unknown(), draw=drawing(problem, *made, seed), least=least, independent=alone)
 
 
 def sampled_ways(problem: Problem, methods: Sequence[str], *, seed: int, models: str = "", least: int = 1) -> list[Way]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -220,6 +221,7 @@ def transmittance(
         sampler, rule = registry.method(method, "transmittance")
     from nqr_geom.render.problems import TransmittanceProblem
 
+    @cache
     def problem_on(support: str) -> TransmittanceProblem:
         made = TransmittanceProblem.of(volume, origins, directions, t_max, support=support, everything=everything)
         return made if rows is None else keyed(made, check.rows(rows, made.batch))

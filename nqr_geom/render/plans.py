@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nqr_geom import registry
 from nqr_geom.integrator.plan import Way
-from nqr_geom.integrator.ways import sampled_way
+from nqr_geom.integrator.ways import drawing, sampled_way
 
 if TYPE_CHECKING:
     from nqr_geom.integrator.estimate import Estimate
@@ -47,9 +50,20 @@ def transmittance_ways(
         if method in TRACKERS:
             ways.append(Way(method, unknown(), draw=_tracking(problem_on("bounds"), method, seed)))
         else:
-            problem = problem_on("pieces" if method == "structured" else "bounds")
-            ways.append(sampled_way(problem, method, seed=seed, least=_LEAST.get(method, 2)))
+            way = sampled_way(problem_on("bounds"), method, seed=seed, least=_LEAST.get(method, 2))
+            ways.append(replace(way, draw=_on_pieces(problem_on, seed)) if method == "structured" else way)
     return ways
+
+
+def _on_pieces(problem_on: Callable[[str], TransmittanceProblem], seed: int) -> Callable[[Rows, int, int], Estimate]:
+    """The structured method, whose pieces of rays are looked for when it is first asked."""
+
+    @cache
+    def asked() -> Callable[[Rows, int, int], Estimate]:
+        sampler, rule = registry.method("structured", "transmittance")
+        return drawing(problem_on("pieces"), registry.make("sampler", sampler), registry.make("rule", rule), seed)
+
+    return lambda rows, n, k: asked()(rows, n, k)
 
 
 def _tracking(problem: TransmittanceProblem, method: str, seed: int) -> Callable[[Rows, int, int], Estimate]:

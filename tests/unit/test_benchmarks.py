@@ -21,6 +21,28 @@ def comparison(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return import_module("comparison")
 
 
+@pytest.fixture
+def targets(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    return import_module("targets")
+
+
+def test_targets_are_reached_only_by_all_of_their_values(targets: ModuleType) -> None:
+    rows = {"exact_gwn": [{"case": "star, 100 segments", "ratio": 2.0, "largest_difference": 1e-3}],
+            "mitsuba_direct": [{"ratio": 1.5}, {"ratio": 0.9}]}  # fmt: skip
+    lines = {line.split(" | ")[0].strip("| "): line for line in targets.page(rows.get).splitlines()}
+    assert "| 2 | yes |" in lines["winding numbers of 100 segments, times faster than libigl"]
+    assert "| 0.001 | no |" in lines["their largest difference from libigl's"]
+    assert "| 1.5, 0.9 | no |" in lines["direct light, times faster than Mitsuba 3, five scenes"]
+    assert "| not measured | no |" in lines["toy, INet on random samples"]
+
+
+def test_every_target_names_its_script(targets: ModuleType) -> None:
+    folder = Path(targets.__file__).parent
+    named = {one.benchmark for group in targets.TARGETS.values() for one in group}
+    assert all((folder / f"{name}.py").exists() for name in named)
+
+
 def test_a_trained_sampler_joins_once_it_has_a_name(comparison: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(registry.ALIASES, "toy:nqr", raising=False)
     without = comparison.pairs_for("toy")

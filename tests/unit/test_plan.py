@@ -51,7 +51,7 @@ def test_the_cheapest_and_the_most_accurate_are_found():
     n = most_within(fast, Goal(100), 1e-3)
     assert 900 <= n <= 1000
     assert sizes_of(fast, 8) == (8,)
-    assert sizes_of(way("design", 1.0, 1.0), 8) == (8, 12)
+    assert sizes_of(way("design", 1.0, 1.0), 8) == (4, 8)
 
 
 def test_bounds_hold_where_repetitions_are_normal():
