@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from page import Row, interval, markdown, short, span
+from page import Row, interval, markdown, picture, short, span
 
 
 def transmittance(rows: list[Row]) -> str:
@@ -76,3 +76,41 @@ def effects(rows: list[Row]) -> str:
             for row in rows
         ],
     )
+
+
+def ablation(rows: list[Row]) -> str:
+    """Fig. 27; a squared bias below what chance leaves of the mean is not told from none."""
+    table = markdown(
+        ["variant", "mean squared error", "median", "99%", "x stratified", "95%", "squared bias"],
+        [
+            [
+                row["variant"],
+                *(short(row[key]) for key in ("mse", "median", "p99", "ratio")),
+                interval(row),
+                short(row["bias2"]) if row["bias2"] > row["bias_noise"] else f"below {short(row['bias_noise'])}",
+            ]
+            for row in rows
+        ],
+    )
+    length = f"{rows[0]['iterations']} iterations of {rows[0]['batch']} integrals each, from the same weights, "
+    return f"{length}{rows[0]['n']} queries a ray.\n\n{table}\n" + picture(
+        "transmittance-ablation.png", "learning curves, and errors and biases on held-out clouds"
+    )
+
+
+def strategy(rows: list[Row]) -> str:
+    """Figs. 48 and 49: where samples go, and pictures."""
+    classes = list(rows[0]["shares"])
+    table = markdown(
+        ["24 queries a ray: share", *(f"density {c}" for c in classes), *(f"weight there, {c}" for c in classes)],
+        [
+            [row["method"], *(f"{row['shares'][c]:.1%}" for c in classes)]
+            + [short(row["weights"][c]) if "weights" in row else "" for c in classes]
+            for row in rows
+        ],
+    )
+    pictures = (
+        ("transmittance-strategy.png", "density along two rays, with samples and their weights"),
+        ("transmittance-errors.png", "errors of one run on a cloud, a donut and letters"),
+    )
+    return table + "\n" + "\n".join(picture(*one) for one in pictures)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import layouts
 import layouts_direct
+import layouts_light
 import layouts_render
 import layouts_sd
 import targets
@@ -253,7 +254,12 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
         layouts_render.learned_transmittance,
     ),
     ("transmittance", "Fig. 29: what is left of the error in the mean", layouts_render.transmittance_bias),
+    ("transmittance_ablation", "Fig. 27: what offset and losses are worth for transmittance", layouts_render.ablation),
+    ("transmittance_strategy", "Figs. 48 and 49: where samples of a transmittance lie", layouts_render.strategy),
     ("direct_light", "Tables 3 and 10: direct light, scenes of Fig. 39 and outside the family", layouts_direct.methods),
+    ("direct_images", "Table 13: direct light as eyes judge it, and flicker on a camera path", layouts_light.images),
+    ("direct_strategy", "Figs. 20 to 23: what samples of direct light do", layouts_light.strategy),
+    ("direct_time", "Tables 15 to 17, Fig. 36: what direct light costs in time", layouts_light.times),
     ("mitsuba_direct", "Direct light beside Mitsuba 3, same run, all cores", layouts_direct.mitsuba),
     ("effects", "Only what a scene calls for: direct light, 16 passes, processor time", layouts_direct.effects),
     ("transmittance_effects", "Only what a volume calls for: 25,600 rays, 24 queries", layouts_render.effects),

@@ -19,6 +19,7 @@ def test_no_example_is_left_out() -> None:
     names = {path.stem for path in EXAMPLES.glob("*.py")} - {"__init__"}
     assert names == {
         "gwn_of_svg",
+        "light_selection",
         "light_through_a_cloud",
         "own_integral",
         "p_laplace_values",
@@ -72,6 +73,13 @@ def test_light_through_a_cloud(tmp_path: Path) -> None:
     gain = import_module("examples.light_through_a_cloud").main(tmp_path, resolution=64)
     assert gain == pytest.approx(53.5, rel=0.05)
     assert (tmp_path / "light_through_a_cloud.png").stat().st_size > 10_000
+
+
+def test_light_selection(tmp_path: Path) -> None:
+    sent = import_module("examples.light_selection").main(tmp_path, size=64)
+    assert sent["behind the screen"] == pytest.approx(0.94, abs=0.02)  # for nothing: the screen hides the lamp
+    assert sent["in the open"] == pytest.approx(0.81, abs=0.02)
+    assert (tmp_path / "light_selection.png").stat().st_size > 10_000
 
 
 def test_room_by_four_methods(tmp_path: Path) -> None:
