@@ -10,6 +10,19 @@ import pytest
 from nqr_geom.curves.curve import Curve
 
 
+@pytest.fixture(scope="session", autouse=True)
+def few_lessons() -> None:
+    """Families whose answers are solved for, once and for many minutes, are small ones in tests."""
+    from nqr_geom import p_training
+    from nqr_geom.render import direct_training
+    from nqr_geom.wos import training
+
+    training.SHAPES.update({"train": 128, "validation": 64, "test": 64})
+    p_training.SHAPES.update({"train": 16, "validation": 16, "test": 16})
+    p_training.BLOCK = 16
+    direct_training.ROOMS.update({"train": 8, "validation": 8, "test": 8})
+
+
 @pytest.fixture(scope="session")
 def square() -> Curve:
     return Curve.polyline([[0, 0], [1, 0], [1, 1], [0, 1]], closed=True)

@@ -20,7 +20,7 @@ from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_
 from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.train import TrainConfig, learning_rate, loss, train
 from nqr_geom.integrator.problem import Link, LogLink, Observation, Problem
-from nqr_geom.recipes import RECIPES
+from nqr_geom.recipes import JOINT, RECIPES
 from nqr_geom.streams import Stream
 
 
@@ -280,8 +280,8 @@ def test_links_are_inverted_and_clamped_for_training() -> None:
     np.testing.assert_allclose(inner_answer(link(inner), link), inner, rtol=1e-13)
     assert torch.equal(training_link(link, -inner), link(inner))
     assert training_link(link, 0.0 * inner).isfinite().all()
-    with pytest.raises(ValueError, match="link: expected identity or log, got 'exp'"):
-        inner_answer(inner, Link("exp"))
+    with pytest.raises(ValueError, match="link: expected identity, log or exp, got 'cube'"):
+        inner_answer(inner, Link("cube"))
 
 
 def test_loss_is_the_mean_squared_error_of_small_errors() -> None:
@@ -306,7 +306,7 @@ def test_the_command_line_trains_and_publishes(tmp_path: Path, capsys: pytest.Ca
     assert main(words) == 0
     assert json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])["batch"] == 8
     assert main(["train", "nothing", "--out", out, "--iterations", "1"]) == 2
-    assert "name: expected one of gwn-nqr, gwn-structured, gwn-student" in capsys.readouterr().err
+    assert f"name: expected one of {', '.join(sorted([*RECIPES, *JOINT]))}, got 'nothing'" in capsys.readouterr().err
     pair = str(tmp_path / "pair")
     assert main(["train", "toy-nqr", "--out", pair, "--iterations", "1", "--batch", "2", "--start-from", out]) == 2
     assert "start_from: expected a run of 'toy-structured', found one of 'toy-uniform'" in capsys.readouterr().err
