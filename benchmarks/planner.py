@@ -127,17 +127,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()
     names = options.only.split(",") if options.only else list(problems.STUDIES)
-    whole: dict[str, Any] = {"tol": [], "budget": []}
+    rows: list[dict[str, Any]] = []
     if options.only and options.out.exists():
-        whole = json.loads(options.out.read_text())
+        rows = json.loads(options.out.read_text())["rows"]
     for name in names:
         cases = problems.cases(name, "test")
         tried = [fixed(name, case) for case in cases]
-        for kind, measure in (("tol", tolerances), ("budget", budgets)):
-            whole[kind] = [r for r in whole[kind] if r["application"] != name] + measure(name, cases, tried)
+        measured = tolerances(name, cases, tried) + budgets(name, cases, tried)
+        rows = [row for row in rows if row["application"] != name] + measured
         told = {"benchmark": "planner", "machine": machine(), "versions": versions("numpy", "torch", "numba"),
                 "settings": {"tolerances": TOLERANCES, "budgets": BUDGETS, "seed": SEED}}  # fmt: skip
-        write_whole(options.out, json.dumps({**told, **whole}, indent=1) + "\n")
+        write_whole(options.out, json.dumps({**told, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

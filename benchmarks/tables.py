@@ -15,6 +15,7 @@ from pathlib import Path
 import layouts
 import layouts_direct
 import layouts_light
+import layouts_plans
 import layouts_render
 import layouts_sd
 import targets
@@ -261,6 +262,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("direct_strategy", "Figs. 20 to 23: what samples of direct light do", layouts_light.strategy),
     ("direct_time", "Tables 15 to 17, Fig. 36: what direct light costs in time", layouts_light.times),
     ("mitsuba_direct", "Direct light beside Mitsuba 3, same run, all cores", layouts_direct.mitsuba),
+    ("planner", "Plans by tolerance and by budget, on questions that no model was measured on", layouts_plans.plans),
     ("effects", "Only what a scene calls for: direct light, 16 passes, processor time", layouts_direct.effects),
     ("transmittance_effects", "Only what a volume calls for: 25,600 rays, 24 queries", layouts_render.effects),
 ]
