@@ -18,9 +18,10 @@ Floats = NDArray[np.float64]
 ROUGHEST, SMOOTHEST = 1.0, 1e-4
 COAT_NODES = 128
 
-# Refractive index and extinction at 650, 550 and 450 nm, between the measurements of Johnson and Christy, Optical
-# constants of the noble metals, 1972 (silver, gold, copper), and Optical constants of transition metals, 1974
-# (chromium); aluminium after Rakic, Determination of intrinsic optical constants of metal films, 1995.
+# Refractive index and extinction at 650, 550 and 450 nm, on straight lines between what is tabulated (in the database
+# refractiveindex.info): Johnson and Christy, Optical constants of the noble metals, 1972 (silver, gold, copper), and
+# Optical constants of transition metals, 1974 (chromium); for aluminium the Brendel-Bormann model of Rakic, Djurisic,
+# Elazar, Majewski, Optical properties of metallic films for vertical-cavity optoelectronic devices, 1998.
 METALS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "aluminium": ((1.3455, 0.96521, 0.61722), (7.4746, 6.3995, 5.3031)),
     "chromium": ((3.1071, 3.1812, 2.3230), (3.3314, 3.3291, 3.1350)),
@@ -155,7 +156,9 @@ class Conductor:
 
     References
     ----------
-    Walter, Marschner, Li, Torrance, Microfacet models for refraction through rough surfaces, 2007.
+    Walter, Marschner, Li, Torrance, Microfacet models for refraction through rough surfaces, 2007. Constants of metals
+    at 650, 550 and 450 nm: Johnson and Christy, 1972 (silver, gold, copper) and 1974 (chromium); Rakic, Djurisic,
+    Elazar, Majewski, 1998, by the model of Brendel and Bormann (aluminium).
 
     Examples
     --------

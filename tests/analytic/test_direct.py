@@ -162,6 +162,30 @@ def test_metals_have_the_colours_of_metals():
     assert at["chromium"] == pytest.approx([0.55, 0.56, 0.55], abs=0.05)
 
 
+# Wavelength in micrometres, refractive index and extinction as published, around 650, 550 and 450 nm: Johnson and
+# Christy, Phys. Rev. B 6, 4370 (1972) and 9, 5056 (1974); for aluminium Rakic et al., Appl. Opt. 37, 5271 (1998).
+PUBLISHED = {
+    "silver": [(0.4305, 0.04, 2.462), (0.4509, 0.04, 2.657), (0.5486, 0.06, 3.586), (0.5821, 0.05, 3.858),
+               (0.6168, 0.06, 4.152), (0.6595, 0.05, 4.483)],
+    "gold": [(0.4305, 1.45, 1.948), (0.4509, 1.38, 1.914), (0.5486, 0.43, 2.455), (0.5821, 0.29, 2.863),
+             (0.6168, 0.21, 3.272), (0.6595, 0.14, 3.697)],
+    "copper": [(0.4305, 1.25, 2.305), (0.4509, 1.24, 2.397), (0.5486, 1.02, 2.577), (0.5821, 0.70, 2.704),
+               (0.6168, 0.30, 3.205), (0.6595, 0.22, 3.747)],
+    "chromium": [(0.431, 2.19, 3.04), (0.451, 2.33, 3.14), (0.549, 3.18, 3.33), (0.582, 3.22, 3.30),
+                 (0.617, 3.17, 3.30), (0.659, 3.09, 3.34)],
+    "aluminium": [(0.43962, 0.58336, 5.1830), (0.45833, 0.64439, 5.3994), (0.54147, 0.93525, 6.3099),
+                  (0.56452, 1.0162, 6.5519), (0.63971, 1.2952, 7.3576), (0.66693, 1.4286, 7.6672)],
+}  # fmt: skip
+
+
+def test_metals_are_as_published():
+    assert set(PUBLISHED) == set(METALS)
+    for metal, rows in PUBLISHED.items():
+        wavelength, *constants = np.array(rows).T
+        for of, published in zip(METALS[metal], constants, strict=True):
+            assert of == pytest.approx(np.interp([0.65, 0.55, 0.45], wavelength, published), rel=1e-4), metal
+
+
 # --- lobes --------------------------------------------------------------------------------------------
 
 
