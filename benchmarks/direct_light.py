@@ -31,7 +31,9 @@ METHODS = {
     "Poly random": ("random", "direct-regression-1"),
     "MC stratified": ("pmj", "balance-heuristic"),
     "Poly stratified": ("pmj", "direct-regression-1"),
-    "structured": ("pmj", "direct-unhidden"),
+    "closed forms": ("pmj", "direct-unhidden"),
+    "known light": ("pmj", "direct-known"),
+    "structured": ("lamp-spread", "direct-known"),
     "INet random": ("random", "inet-direct-mis"),
     "INet stratified": ("pmj", "inet-direct-mis"),
 }

@@ -23,7 +23,7 @@ from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.p_training import P_TOKENS, p_laplace_batch
-from nqr_geom.render.direct_tokens import DIRECT_TOKENS
+from nqr_geom.render.direct_tokens import DIRECT_TOKENS, KNOWN_TOKENS
 from nqr_geom.render.direct_training import direct_batch
 from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
@@ -63,6 +63,9 @@ _DIRECT_SEES = (
         "unhidden",
         "pss",
         "incident",
+        "known",
+        "known_all",
+        "expected",
     ),
 )
 _WALK_SEES = ("steps", "length", "finished", "end", "loops")
@@ -180,6 +183,20 @@ RECIPES: dict[str, Recipe] = {
             extra=DIRECT_TOKENS,
             sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
             designs=("pmj", "pmj", "random"),
+            largest=64,
+            huber=0.25,
+        ),
+        Recipe(
+            name="direct-structured",
+            problem="direct",
+            family=direct_batch,
+            base="direct-known",
+            consistent="direct-known",
+            config=INetConfig(replace(_DIRECT, extra=KNOWN_TOKENS.size), positive=True),
+            sees=_DIRECT_SEES,
+            extra=KNOWN_TOKENS,
+            sizes=((16, 0.9), (8, 0.05), (32, 0.05)),
+            designs=("pmj", "pmj", "pmj", "random"),
             largest=64,
             huber=0.25,
         ),

@@ -149,6 +149,13 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="transmittance",
             adaptive=True,
         ),
+        Entry(
+            "lamp-spread",
+            _RENDER + "direct_sampler:LampSpread",
+            "light samples shared out by what each lamp can bring, then by whether it is seen",
+            needs="direct",
+            adaptive=True,
+        ),
         *(
             Entry(
                 f"snet-{name}",
@@ -273,6 +280,12 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             needs="direct",
         ),
         Entry(
+            "direct-known",
+            _RENDER + "direct_rules:KnownLight",
+            "all light as it would be if nothing hid it, its visibility sampled",
+            needs="direct",
+        ),
+        Entry(
             "gwn-hermite",
             _CURVES + "structured:GwnHermite",
             "exact winding number of the curve rebuilt by Hermite cubics",
@@ -331,7 +344,7 @@ ALIASES: dict[str, str] = {
     "direct:random": "random+balance-heuristic",
     "direct:regression": "pmj+direct-regression-1",
     "direct:inet": "pmj+inet-direct-mis",
-    "direct:structured": "pmj+direct-unhidden",
+    "direct:structured": "lamp-spread+direct-known",
     "transmittance:random": "random+mc",
     "transmittance:stratified": "uniform-jitter+mc",
     "transmittance:trapezoid": "uniform-jitter+trapezoid",

@@ -36,9 +36,10 @@ def direct(
         Passes a pixel; each is one direction by the material and one towards a light, both through the pixel's middle.
     method : str
         "random", "mis" (progressive multi-jittered points, balance heuristic), "regression" (of degree 1, for each
-        technique apart), "structured" (exact light of the unhidden sphere on diffuse surfaces, sampled visibility),
-        "reference" (at least 4096 passes in 16 runs, with a standard error), or any "sampler+rule" that fits. With
-        `tol` or `budget` also "auto".
+        technique apart), "structured" (the light of every lamp as it would be if nothing hid it, gloss included, times
+        its sampled visibility; samples go to lamps that can bring much, then to those half hidden), "inet" (a network
+        that corrects the balance heuristic), "reference" (at least 4096 passes in 16 runs, with a standard error), or
+        any "sampler+rule" that fits. With `tol` or `budget` also "auto".
     tol : float, optional
         Absolute error of a pixel's radiance to reach in place of spp: "auto" takes the method that should get there at
         the least cost, a method that is named as many passes as that needs, pixel by pixel. Bounds on the error are

@@ -19,8 +19,8 @@ from nqr_geom._warp import array, launch, wp
 from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema, Whole
 from nqr_geom.integrator.rules import BalanceHeuristic
 from nqr_geom.integrator.samplers import Pmj, Random
-from nqr_geom.render import kernels_bsdf, kernels_fused
-from nqr_geom.render.direct_rules import UnhiddenLight, sure_chance
+from nqr_geom.render import direct_known, kernels_bsdf, kernels_fused
+from nqr_geom.render.direct_rules import KnownLight, UnhiddenLight, sure_chance
 from nqr_geom.render.kernels_numbers import numbers
 from nqr_geom.render.scene import Scene
 from nqr_geom.render.world import Assembled, assemble, rows_of, see
@@ -55,9 +55,11 @@ _PSS = ((2, 0, 1), (3, 4, 5))  # axes of each technique, as Table 5 has them: lo
 class DirectProblem(Problem):
     """What light reaches B pixels of some scenes by one reflection, three channels each.
 
-    Features beyond the schema are for rules: "light" (-1 for none), "chance" of that light, "lambert" (cosine over
-    density), "irradiance" of the unhidden light at radiance 1, its "radiance", the "visible" part of it,
-    "diffuse_share" of the reflection, and "unhidden", the irradiance of all lights at once.
+    Features beyond the schema are for rules: "light" (its number in the scene, -1 for none), "chance" of that light,
+    "lambert" (cosine over density), "irradiance" of the unhidden light at radiance 1, its "radiance", the "visible"
+    part of it, "diffuse_share" of the reflection, "unhidden", the irradiance of all lights at once, "known", the
+    radiance that this light would send to the viewer if nothing hid it, "known_all", that of all lights, and
+    "expected", the value if nothing hid the light.
 
     Parameters
     ----------
@@ -175,12 +177,13 @@ class DirectProblem(Problem):
         fog = [] if medium is None else [f"{medium[0]} medium", *(["noise"] if medium[1] else [])]
         return " + ".join(["direct", *(name for name, on in zip(names, flags, strict=True) if on), *fog])
 
-    def _count(self, traced: NDArray[np.int32]) -> None:
+    def count(self, traced: NDArray[np.int32]) -> None:
+        """Add shadow rays and density queries, (B, 3), to those so far."""
         for name, total in zip(self.rays, traced.sum(axis=0, dtype=np.int64).tolist(), strict=True):
             self.rays[name] += total
 
-    def evaluate(self, x: Tensor) -> Observation:
-        """One pass for every point x (B, N, 6)."""
+    def evaluate(self, x: Tensor, known: Tensor | None = None) -> Observation:
+        """One pass for every point x (B, N, 6); `known` is what `direct_known.known` gives, if it is at hand."""
         batch, n = x.shape[:2]
         value, density = np.zeros((batch, n, 2, 3)), np.zeros((batch, n, 2, 2))
         extra, traced = np.zeros((batch, n, 2, kernels_fused.EXTRA)), np.zeros((batch, 3), np.int32)
@@ -194,17 +197,26 @@ class DirectProblem(Problem):
             array(traced, wp.int32),
         ]
         launch(kernels_fused.kernel("observe", *self.variant), batch, arguments)
-        self._count(traced)
+        self.count(traced)
         seen = torch.from_numpy(extra)
         features = {name: seen[..., first : first + size] for name, (first, size) in LAYOUT.items()}
         features["pss"] = torch.stack([x[..., axes] for axes in _PSS], dim=2)
         features["incident"] = torch.from_numpy(value)
+        known = direct_known.known(self, x[:, 0, :2], n) if known is None else known
+        light = features["light"].long()
+        own = known.gather(1, light.clamp_min(0).flatten(1)[..., None].expand(-1, -1, 3)).view(batch, n, 2, 3)
+        features["known"] = torch.where(light >= 0, own, 0.0)
+        features["known_all"] = known.sum(dim=1)[:, None, None].expand(batch, n, 2, 3)
+        through = torch.from_numpy(np.ascontiguousarray(self.surfaces["through"]))[:, None, None]
+        features["expected"] = features["bsdf"] * features["radiance"] * features["lambert"] * through
         return Observation(
             torch.from_numpy(value), features, technique_pdf=torch.from_numpy(density), queries=2 * batch * n
         )
 
     def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
-        """Random and PMJ points under the balance heuristic or with unhidden light in closed form, in one pass."""
+        """The classical and the structured rules on the points that suit them, in one pass."""
+        if type(rule) is KnownLight:
+            return direct_known.compiled(self, sampler, n)
         kinds: dict[type, str] = {BalanceHeuristic: "balance", UnhiddenLight: "structured"}
         kind = kinds.get(type(rule))
         if kind is None or type(sampler) not in (Random, Pmj):
@@ -237,7 +249,7 @@ class DirectProblem(Problem):
             array(traced, wp.int32),
         ]
         launch(kernels_fused.kernel(kind, *self.variant), self.batch, arguments)
-        self._count(traced)
+        self.count(traced)
         m2 = torch.from_numpy(spread) if kind == "balance" and not pmj and n > 1 else None
         fallback = torch.zeros(self.batch, dtype=torch.bool)
         return Whole(torch.from_numpy(mean), fallback, 2 * self.batch * n, m2)

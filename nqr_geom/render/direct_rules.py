@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,7 +12,7 @@ from nqr_geom.integrator.problem import Observation, Samples
 from nqr_geom.integrator.rules import BalanceHeuristic, Combination, Regression, Rule
 from nqr_geom.integrator.sums import row_sum
 
-__all__ = ["TechniqueRegression", "UnhiddenLight", "sure_chance"]
+__all__ = ["KnownLight", "TechniqueRegression", "UnhiddenLight", "known_light", "sure_chance"]
 
 _EVEN_AXES = ("pmj", "sobol", "latin-hypercube")  # designs that hit every stratum of each axis
 
@@ -96,6 +97,63 @@ class UnhiddenLight(Rule):
         offset = strength * _total(counted * f * share) * missed
         weights = balance * (1.0 + share * (ratio - 1.0))
         return Combination(weights, offset)
+
+
+class KnownLight(Rule):
+    """What each light would send to the viewer if nothing hid it, glossy lobes included, times its visibility.
+
+    The visibility of a light is that of its samples, each counted by what it would bring under the balance heuristic:
+    the estimate of a light lies between nothing and all of it, so that no sample can stand out. Lights that no sample
+    has met are as visible as the others together. A ratio of sums, so its bias falls like 1/n.
+    """
+
+    name = "direct-known"
+
+    def combine(self, samples: Samples) -> Combination:
+        self._need_pdf(samples)
+        found = known_light(samples, self.name)
+        missed = samples.feature("known_all", self.name)[:, 0, 0] - _total(found.expected * found.ratio)
+        every = _total(found.expected)
+        shown = _total(found.expected * samples.feature("visible", self.name))
+        visible = torch.where(every > 0.0, shown / torch.where(every > 0.0, every, 1.0), 0.0)
+        return Combination(found.balance * found.ratio, visible * missed.clamp_min(0.0))
+
+
+class Known(NamedTuple):
+    """What samples say of their lights.
+
+    Attributes
+    ----------
+    balance : Tensor, (B, N, T, 1)
+        Weights of the balance heuristic.
+    expected : Tensor, (B, N, T, C)
+        What each sample would add to the estimate if nothing hid the light.
+    ratio : Tensor, (B, N, T, C)
+        Known radiance of the sample's light over the sum of `expected` of all its samples; 1 where there is none.
+    """
+
+    balance: Tensor
+    expected: Tensor
+    ratio: Tensor
+
+
+def known_light(samples: Samples, rule: str) -> Known:
+    """Compare what the samples of each light expect of it with what is known, for the rule of that name."""
+    light, expected, known = (samples.feature(name, rule) for name in ("light", "expected", "known"))
+    balance = BalanceHeuristic().combine(samples).weights
+    expected = balance * torch.where(light >= 0.0, expected, 0.0) / samples.n
+    total = of_same_light(light, expected)
+    some = total > 0.0
+    return Known(balance, expected, torch.where(some, known / torch.where(some, total, 1.0), 1.0))
+
+
+def of_same_light(light: Tensor, terms: Tensor) -> Tensor:
+    """Sum over all samples of a row that met the same light, (B, N, T, C) -> (B, N, T, C), 0 where they met none."""
+    sums = torch.zeros_like(terms)
+    for j in range(int(light.max()) + 1):
+        of = light == j
+        sums = torch.where(of, _total(torch.where(of, terms, 0.0))[:, None, None], sums)
+    return sums
 
 
 def _total(terms: Tensor) -> Tensor:

@@ -14,8 +14,9 @@ from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, fouri
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import BalanceHeuristic
 from nqr_geom.integrator.sums import row_mean
+from nqr_geom.render.direct_rules import known_light, of_same_light
 
-__all__ = ["DIRECT_TOKENS"]
+__all__ = ["DIRECT_TOKENS", "KNOWN_TOKENS"]
 
 _PLACES, _DIRECTIONS = 5, 3  # frequencies, as in Table 5
 _TYPICAL = 0.1  # radius over distance that stands where no light was hit
@@ -102,4 +103,34 @@ DIRECT_TOKENS = Extra(
     direct_tokens,
     checked=(0, 1, 2),
     check=_checked,
+)
+
+
+def known_tokens(samples: Samples) -> Tensor:
+    """`direct_tokens`, then what `direct-known` makes of the sample and of its light, (B, N, T, 114) float32."""
+    value, unit = standard(samples.value, _PLAIN)
+    found = known_light(samples, "inet")
+    light, visible = samples.feature("light", "inet"), samples.feature("visible", "inet")
+    part = (found.expected * found.ratio).sum(dim=-1, keepdim=True)  # of its light's known radiance
+    total, seen, squares = (of_same_light(light, terms) for terms in (part, part * visible, part.square()))
+    some = total > 0.0
+    safe = torch.where(some, total, 1.0)
+    steady = found.balance * found.ratio * value / unit
+    mean = row_mean(steady.sum(dim=2))[:, None, None].expand_as(value)
+    known, everything = (samples.feature(name, "inet") / unit for name in ("known", "known_all"))
+    parts = [
+        compress(steady),
+        compress(known),
+        compress(mean),
+        part / safe,
+        seen / safe,
+        torch.where(some, squares / safe.square(), 0.0),  # one over how many samples there are in effect
+        visible * (visible - seen / safe),
+        _logarithm(everything.sum(dim=-1, keepdim=True)),
+    ]
+    return torch.cat([direct_tokens(samples), *(part.float() for part in parts)], dim=-1)
+
+
+KNOWN_TOKENS = Extra(
+    DIRECT_TOKENS.size + 3 + 3 + 3 + 5, known_tokens, checked=DIRECT_TOKENS.checked, check=DIRECT_TOKENS.check
 )

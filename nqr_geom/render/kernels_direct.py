@@ -256,7 +256,9 @@ def one_pass_for(shadows: bool, gloss: bool, selection: bool, medium: tuple[str,
             distance = wp.dot(light.centre - start, w)
         if hidden(world, place, start, w, distance, chosen.light):
             made.other = _ZERO  # a direction by the material would have met the other light
-        elif lobes.pdf > _ZERO and wp.dot(w, s.geometric) > _ZERO:
+        elif wp.dot(w, s.geometric) <= _ZERO:
+            made.other = _ZERO  # it would have been dropped
+        elif lobes.pdf > _ZERO:
             made.rays = wp.static(ray)
             if not blocked(world, place, start, w, distance):
                 kept = through(world, place, s.position, w, distance)

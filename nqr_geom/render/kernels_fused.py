@@ -64,7 +64,7 @@ def write_extra(
             extra[23 + c] = light.radiance[c]
         extra[16] = s.chance
         extra[18] = irradiance(light.centre, light.radius, surface.position, surface.normal)
-        extra[22] = wp.float64(s.light)
+        extra[22] = wp.float64(s.light - world.places[surface.scene].lights)
 
 
 def _observe(one_pass: Any) -> Any:

@@ -8,7 +8,17 @@ sources for real-time graphics, 1996.
 
 from nqr_geom._warp import wp
 
-__all__ = ["Light", "Node", "chance_of", "choose", "irradiance", "sphere_cone", "sphere_direction", "sphere_hit"]
+__all__ = [
+    "Light",
+    "Node",
+    "chance_of",
+    "choose",
+    "importance",
+    "irradiance",
+    "sphere_cone",
+    "sphere_direction",
+    "sphere_hit",
+]
 
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))

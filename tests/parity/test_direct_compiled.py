@@ -15,6 +15,7 @@ from nqr_geom.streams import Stream
 from tests.scenes import EVERYTHING, floor, looking_down, open_floor, two_spheres
 
 PAIRS = [(s, r) for s in ("random", "pmj") for r in ("balance-heuristic", "direct-unhidden")]
+PAIRS += [("pmj", "direct-known"), ("lamp-spread", "direct-known")]
 
 
 def pair(sampler, rule):
@@ -35,7 +36,7 @@ def test_one_pass_is_sampler_and_rule_one_after_the_other(room, sampler, rule, n
     parts = run(part, *pair(sampler, rule), n, seed=3)
     np.testing.assert_allclose(fused.value, parts.value, rtol=1e-12, atol=1e-14)
     assert fused.counts == parts.counts
-    assert (fused.stderr is None) == (parts.stderr is None or rule == "direct-unhidden")
+    assert (fused.stderr is None) == (parts.stderr is None or rule != "balance-heuristic")
     if fused.stderr is not None:
         np.testing.assert_allclose(fused.stderr, parts.stderr, rtol=1e-9, atol=1e-14)
 
@@ -56,7 +57,7 @@ def test_the_door_is_the_integrator():
         "random": ("random", "balance-heuristic"),
         "mis": ("pmj", "balance-heuristic"),
         "regression": ("pmj", "direct-regression-1"),
-        "structured": ("pmj", "direct-unhidden"),
+        "structured": ("lamp-spread", "direct-known"),
         "sobol+balance-heuristic": ("sobol", "balance-heuristic"),
     }.items():
         got = render.direct(scene, spp=8, method=method, seed=2)
@@ -133,7 +134,7 @@ def test_scenes_say_what_they_call_for(scene, effects):
     ids=["empty room", "two lights", "ball", "everything"],
 )
 def test_the_picture_is_that_of_kernels_with_everything(scene):
-    for rule in ("balance-heuristic", "direct-unhidden"):
+    for rule in ("balance-heuristic", "direct-unhidden", "direct-known"):
         lean, full = (DirectProblem.of(scene, effects=effects) for effects in (None, ALL | scene.effects()))
         one, other = (run(problem, *pair("pmj", rule), 4, seed=1).value for problem in (lean, full))
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15)

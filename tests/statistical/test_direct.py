@@ -39,6 +39,17 @@ def test_structured_light_is_never_worse_than_stratified(family, n):
     assert (plain > 2.0 * structured).sum() >= 3  # the rooms without much gloss
 
 
+@pytest.mark.parametrize("n", [16, 64])
+def test_known_light_and_samples_where_lamps_matter_pay(family, n):
+    """Glossy rooms too: far better than closed forms on diffuse surfaces alone, and the sampler adds to the rule."""
+    plain, diffuse = errors(family, MIS, n), errors(family, ("pmj", "direct-unhidden"), n)
+    known, spread = (errors(family, (sampler, "direct-known"), n) for sampler in ("pmj", "lamp-spread"))
+    assert (known <= 1.02 * plain).all()
+    assert (spread <= 1.02 * plain).all()
+    assert known.mean() < 0.5 * diffuse.mean()
+    assert spread.mean() < 0.8 * known.mean()
+
+
 def test_stratification_pays(family):
     """Table 10 has 4.1 times on the whole; eight rooms scatter widely around it (`benchmarks/direct_light.py`)."""
     random, plain = errors(family, ("random", "balance-heuristic"), 16), errors(family, MIS, 16)
@@ -46,7 +57,10 @@ def test_stratification_pays(family):
     assert 2.0 < np.median(random / plain) < 8.0
 
 
-@pytest.mark.parametrize("pair", [("random", "balance-heuristic"), MIS, ("pmj", "direct-regression-1")])
+@pytest.mark.parametrize(
+    "pair",
+    [("random", "balance-heuristic"), MIS, ("pmj", "direct-regression-1"), ("lamp-spread", "balance-heuristic")],
+)
 def test_the_mean_of_many_runs_is_the_reference(pair):
     problem = DirectProblem.of(two_spheres(8))
     truth = answer(problem, MIS, 256, seed=7, replicates=8)
@@ -58,12 +72,11 @@ def test_the_mean_of_many_runs_is_the_reference(pair):
     assert abs((many.value - truth.value).sum()) < 4.0 * np.sqrt((many.stderr**2 + truth.stderr**2).sum() * 3.0)
 
 
-def test_structured_light_is_consistent():
+@pytest.mark.parametrize("pair", [("pmj", "direct-unhidden"), ("pmj", "direct-known"), ("lamp-spread", "direct-known")])
+def test_structured_light_is_consistent(pair):
     """What is left of its bias falls with the number of passes."""
     problem = DirectProblem.of(two_spheres(8))
     truth = answer(problem, MIS, 256, seed=7, replicates=8).value
-    bias = [
-        np.abs(answer(problem, ("pmj", "direct-unhidden"), n, replicates=32).value - truth).mean() for n in (4, 256)
-    ]
+    bias = [np.abs(answer(problem, pair, n, replicates=32).value - truth).mean() for n in (4, 256)]
     assert bias[1] < 0.5 * bias[0]
     assert bias[1] < 0.01 * truth.mean()

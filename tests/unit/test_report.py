@@ -98,7 +98,7 @@ def test_equal_time_keeps_within_the_baselines_time():
         ("gwn", ("snet-gwn-nqr", "trapezoid"), "learned"),
         ("laplace", ("array-rqmc", "mc"), "classical"),
         ("laplace", ("latin-hypercube", "walk-fit"), "structured"),
-        ("direct", ("pmj", "direct-unhidden"), "structured"),
+        ("direct", ("lamp-spread", "direct-known"), "structured"),
     ],
 )
 def test_kinds(problem, pair, kind):

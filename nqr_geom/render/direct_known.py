@@ -1,0 +1,115 @@
+"""What is known of direct light before a ray is traced: the radiance of lights that nothing hides, and their choice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nqr_geom._warp import array, launch, wp
+from nqr_geom.integrator.problem import Whole
+from nqr_geom.integrator.samplers import Pmj
+from nqr_geom.keyed_warp import unsigned
+from nqr_geom.render import kernels_bsdf, kernels_known
+from nqr_geom.render.kernels_numbers import numbers, square_points
+from nqr_geom.render.world import rows_of
+from nqr_geom.streams import Stream
+
+if TYPE_CHECKING:
+    from nqr_geom.render.direct_problem import DirectProblem
+
+__all__ = ["compiled", "known", "spans"]
+
+_POINTS, _LEAST = 4, 64  # points a pass and least number of them
+
+
+def _points(problem: DirectProblem, n: int) -> NDArray[np.float64]:
+    gloss = problem.variant[1]
+    return square_points(max(_LEAST, _POINTS * n) if gloss else 1)
+
+
+def _most_lights(problem: DirectProblem) -> int:
+    return max(1, max(len(scene.lights) for scene in problem.world.scenes))
+
+
+def known(problem: DirectProblem, shift: Tensor, n: int) -> Tensor:
+    """Radiance that each light would send to the viewer by one reflection if nothing hid it.
+
+    Closed form on diffuse surfaces. Elsewhere the material is evaluated, and no ray traced, at max(64, 4n) points for
+    each light and as many for the glossy lobe.
+
+    Parameters
+    ----------
+    problem : DirectProblem
+        B pixels.
+    shift : Tensor, (B, 2), float64
+        By how much the points are moved around the torus: a uniform one makes the answer unbiased.
+    n : int
+        Passes that it stands beside.
+
+    Returns
+    -------
+    Tensor, (B, L, 3), float64
+        In the order of the scene's lights, L the most of any scene; 0 behind the last one.
+    """
+    radiance = np.zeros((problem.batch, _most_lights(problem), 3))
+    arguments = [
+        problem.world.struct,
+        rows_of(kernels_bsdf.Surface, problem.surfaces),
+        array(_points(problem, n), wp.vec2d),
+        array(np.ascontiguousarray(shift.cpu().numpy()), wp.vec2d),
+        array(radiance, wp.vec3d),
+    ]
+    launch(kernels_known.known(problem.variant[1]), problem.batch, arguments)
+    return torch.from_numpy(radiance)
+
+
+def spans(problem: DirectProblem) -> Tensor:
+    """Lower end and length of the part of axis 3 that chooses each light, (B, L, 2) as for `known`."""
+    span = np.zeros((problem.batch, _most_lights(problem), 2))
+    surfaces = rows_of(kernels_bsdf.Surface, problem.surfaces)
+    launch(kernels_known.spans, problem.batch, [problem.world.struct, surfaces, array(span, wp.vec2d)])
+    return torch.from_numpy(span)
+
+
+def compiled(problem: DirectProblem, sampler: object, n: int) -> Callable[[Stream], Whole] | None:
+    """One pass of `direct-known` over the points of "pmj" or "lamp-spread"; None for those of others."""
+    from nqr_geom.render.direct_sampler import LampSpread
+    from nqr_geom.render.kernels_lamps import Lamp, Record, Rounds, kernel
+
+    if type(sampler) not in (Pmj, LampSpread):
+        return None
+
+    def whole(stream: Stream) -> Whole:
+        mean, traced = np.zeros((problem.batch, 3)), np.zeros((problem.batch, 3), np.int32)
+        most, rounds = _most_lights(problem), Rounds()
+        if isinstance(sampler, LampSpread):
+            rounds.early, rounds.even = sampler.early(n), sampler.even
+            starts = [stream.child(f"round {done}").key for done in (0, rounds.early)]
+            rounds.start_0, rounds.start_1 = map(unsigned, starts)
+            lamps = stream.child("lamps")
+            rounds.key, rounds.scramble = unsigned(lamps.key), unsigned(lamps.child("scramble").key)
+        arguments = [
+            problem.world.struct,
+            rows_of(kernels_bsdf.Surface, problem.surfaces),
+            array(np.ascontiguousarray(problem.rows.cpu().numpy()), wp.int64),
+            numbers(stream, problem.batch, n, pmj=True),
+            rounds,
+            n,
+            array(_points(problem, n), wp.vec2d),
+            array(np.zeros((problem.batch, most, 3)), wp.vec3d),
+            wp.zeros((problem.batch, most), dtype=Lamp, device="cpu"),
+            wp.empty((problem.batch, n, 2), dtype=Record, device="cpu"),
+            array(mean, wp.vec3d),
+            array(traced, wp.int32),
+        ]
+        launch(kernel(isinstance(sampler, LampSpread), *problem.variant), problem.batch, arguments)
+        problem.count(traced)
+        fallback = torch.zeros(problem.batch, dtype=torch.bool)
+        return Whole(torch.from_numpy(mean), fallback, 2 * problem.batch * n, None)
+
+    return whole
