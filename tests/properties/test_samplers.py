@@ -44,7 +44,7 @@ def test_shape_range_and_type(sampler, n):
             assert field is None or field.shape[:2] == (problem.batch, n)
         assert samples.pdf is None or (samples.pdf > 0.0).all()
         assert samples.design == registry.make("sampler", sampler.name).name
-        assert set(samples.seen.features) == set(problem.schema.names)
+        assert set(problem.schema.names) <= set(samples.seen.features)  # some bring more, for rules
 
 
 @every_sampler
