@@ -50,17 +50,17 @@ class Pool:
 
 
 def _answers(problem: DirectProblem, seed: int, split: str) -> np.ndarray:
-    """Means of some runs, by the balance heuristic: unbiased, so that training does not see their noise."""
+    """Means of some structured runs: of as many passes the balance heuristic's errors are those of the rule at 16."""
     from nqr_geom.integrator.estimate import run
-    from nqr_geom.integrator.rules import BalanceHeuristic
-    from nqr_geom.integrator.samplers import Pmj
+    from nqr_geom.render.direct_rules import KnownLight
+    from nqr_geom.render.direct_sampler import LampSpread
 
     surfaces = hashlib.sha256(problem.surfaces.tobytes()).hexdigest()[:16]
-    path = cache_folder() / "direct" / f"{split}-{seed}-{PASSES}x{RUNS}-{surfaces}.npy"
+    path = cache_folder() / "direct" / f"{split}-{seed}-known-{PASSES}x{RUNS}-{surfaces}.npy"
     if path.exists():
         kept: np.ndarray = np.load(path)
         return kept
-    made = run(problem, Pmj(), BalanceHeuristic(), PASSES, replicates=RUNS, seed=2**31 - 2, split=split).value
+    made = run(problem, LampSpread(), KnownLight(), PASSES, replicates=RUNS, seed=2**31 - 2, split=split).value
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.stem}.{os.getpid()}.npy")
     np.save(aside, made)
