@@ -18,7 +18,7 @@ def images(rows: list[Row]) -> str:
         "95%",
     ]
     means = markdown(
-        [*head, "share that is noise"],
+        [*head, "flicker over twice the squared error"],
         [
             [
                 row["method"],

@@ -215,6 +215,15 @@ _TIME = (
             ("SNet + INet", "nqr", 20),
         )
     ),
+    *(
+        target(
+            f"direct light, 16 passes, {label}, two scenes",
+            _most(goal),
+            "direct_time",
+            of("times_mc", method=method, resolution=128, n=16),
+        )
+        for label, method, goal in (("structured", "structured", 2), ("INet", "inet", 8), ("SNet + INet", "nqr", 20))
+    ),
 )
 
 _EXACT = (
@@ -250,7 +259,7 @@ _PLANS = (
 
 TARGETS: dict[str, tuple[Target, ...]] = {
     "Squared error of Monte Carlo over the method's at equal samples, held-out problems": _EQUAL_SAMPLES,
-    "Time over Monte Carlo's, 128 x 128, 32 samples": _TIME,
+    "Time over Monte Carlo's, 128 x 128, 32 samples where nothing else is said": _TIME,
     "Exact answers and speed": _EXACT,
     "Plans by tolerance": _PLANS,
 }
