@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from direct_ways import PASSES, ways
+from direct_ways import PASSES, UNHIDDEN, ways
 from figures import DOCS, SEVERAL, figure, save
 from numpy.typing import NDArray
 from shapes import write
@@ -39,7 +39,7 @@ SIZE, MANY, TILE = 96, 256, 1024
 RIM = 0.75  # of a light's solid angle: the outer quarter
 MATERIAL, LIGHT = 0, 1  # techniques
 CIRCLE = np.cos(np.linspace(0.0, 2.0 * np.pi, 200)), np.sin(np.linspace(0.0, 2.0 * np.pi, 200))
-METHODS = ("random", "mis", "structured", "inet", "nqr")
+METHODS = ("random", "mis", UNHIDDEN, "structured", "inet", "nqr")
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from direct_ways import ways
+from direct_ways import UNHIDDEN, ways
 from figures import DOCS, SEVERAL, figure, save
 from learned_time import interleaved
 from rich.console import Console
@@ -30,7 +30,7 @@ from nqr_geom.render.scene_families import scenes
 from nqr_geom.render.scene_gallery import gallery
 
 SIZES, PASSES = (32, 64, 128), (4, 8, 16)
-METHODS = ("random", "mis", "structured", "inet", "nqr")
+METHODS = ("random", "mis", UNHIDDEN, "structured", "inet", "nqr")
 # Milliseconds of Tables 15 to 17 at 128 squared, test scene 1, over Monte Carlo's: INet, SNet + INet.
 PAPER = {("inet", 4): 6.1, ("inet", 8): 7.5, ("inet", 16): 7.8, ("nqr", 4): 8.0, ("nqr", 8): 11.5, ("nqr", 16): 13.8}
 GOALS = {"structured": 2.0, "inet": 8.0, "nqr": 20.0}

@@ -46,7 +46,9 @@ def images(rows: list[Row]) -> str:
             for name in scenes
         ],
     )  # fmt: skip
-    return f"{means}\n{each}\n" + picture("direct-images.png", "pictures by every method, and FLIP's maps below")
+    return f"{means}\n{each}\n" + picture(
+        "direct-images.png", "pictures by every method (structured: pmj+direct-unhidden), and FLIP's maps below"
+    )
 
 
 def strategy(rows: list[Row]) -> str:
