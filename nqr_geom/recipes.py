@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nqr_geom import check, registry
 from nqr_geom.curves.gaps import CurveGaps, SdGaps
+from nqr_geom.curves.placing import CURVE_SAMPLE
 from nqr_geom.curves.stencil import CURVE_STENCIL, STENCIL_TOKENS
 from nqr_geom.curves.tokens import CURVE_TOKENS
 from nqr_geom.curves.tokens_sd import SD_TOKENS
@@ -255,7 +256,6 @@ RECIPES: dict[str, Recipe] = {
 
 # What a sampling network reads of a sample by itself.
 _TOY_SAMPLE = TokenConfig((Feature("derivative", "scalar"), Feature("piece", "index", levels=5)), unit=1.0)
-_CURVE_SAMPLE = TokenConfig((Feature("piece", "index", levels=6), Feature("normal", "direction", 2)), unit=1.0)
 _VOLUME_SAMPLE = TokenConfig((Feature("u_geo", "scalar"), Feature("u_fbm", "scalar")), unit=1.0)
 _CENTRE = (0.001,) * 4 + (0.496,) * 2 + (0.001,) * 4
 _MIDDLE = (0.04,) * 3 + (0.19,) * 4 + (0.04,) * 3
@@ -270,12 +270,19 @@ def _pair(
 JOINT: dict[str, JointRecipe] = {
     recipe.name: recipe
     for recipe in (
-        _pair(
-            "toy-nqr",
+        JointRecipe(
+            # What toy-hermite leaves open are the breaks: the integrator moves their expected places.
+            replace(
+                RECIPES["toy-structured"],
+                name="toy-nqr",
+                config=replace(RECIPES["toy-structured"].config, in_doubt=True),
+                sizes=((32, 0.8), (24, 0.1), (48, 0.1)),
+                huber=3.0,
+            ),
             "toy-structured",
-            SNetConfig(_TOY_SAMPLE, sharpness=4.0, profile=_CENTRE),
+            SNetConfig(_TOY_SAMPLE, sharpness=4.0, profile=_CENTRE, floor=0.002),
             ToyGaps,
-            *((32, 0.7), (24, 0.1), (48, 0.1), (64, 0.1)),
+            heads=False,
         ),
         _pair(  # the paper's form: both networks begin with uniform density and weights
             "toy-nqr-uniform",
@@ -287,7 +294,7 @@ JOINT: dict[str, JointRecipe] = {
         _pair(
             "gwn-nqr",
             "gwn-uniform",
-            SNetConfig(_CURVE_SAMPLE, sharpness=4.0, profile=_MIDDLE),
+            SNetConfig(CURVE_SAMPLE, sharpness=4.0, profile=_MIDDLE),
             CurveGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
@@ -301,7 +308,7 @@ JOINT: dict[str, JointRecipe] = {
         _pair(
             "sd-nqr",
             "sd-uniform",
-            SNetConfig(_CURVE_SAMPLE, sharpness=2.0, profile=_MIDDLE),
+            SNetConfig(CURVE_SAMPLE, sharpness=2.0, profile=_MIDDLE),
             SdGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),

@@ -67,11 +67,10 @@ class Layers:
 
 
 @_function
-def _layer(weights, bias, x, out):
-    """out = relu(weights x + bias) along contiguous samples; four outputs and four inputs at a time."""
+def _linear(weights, bias, x, out):
+    """out = weights x + bias along contiguous samples; four outputs and four inputs at a time."""
     outputs, inputs = weights.shape
     n = x.shape[1]
-    zero = x.dtype.type(0.0)
     for j in range(0, outputs, 4):
         a, b, c, d = out[j], out[j + 1], out[j + 2], out[j + 3]
         for i in range(n):
@@ -87,8 +86,17 @@ def _layer(weights, bias, x, out):
                 b[i] += b0 * p[i] + b1 * q[i] + b2 * r[i] + b3 * s[i]
                 c[i] += c0 * p[i] + c1 * q[i] + c2 * r[i] + c3 * s[i]
                 d[i] += d0 * p[i] + d1 * q[i] + d2 * r[i] + d3 * s[i]
-        for i in range(n):
-            a[i], b[i], c[i], d[i] = max(a[i], zero), max(b[i], zero), max(c[i], zero), max(d[i], zero)
+
+
+@_function
+def _layer(weights, bias, x, out):
+    """out = relu(weights x + bias)."""
+    _linear(weights, bias, x, out)
+    zero = x.dtype.type(0.0)
+    for j in range(out.shape[0]):
+        row = out[j]
+        for i in range(out.shape[1]):
+            row[i] = max(row[i], zero)
 
 
 @_function

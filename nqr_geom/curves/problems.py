@@ -256,6 +256,11 @@ class GwnProblem(CurveProblem):
 
         return whole
 
+    def placing(self, net: object, n: int) -> Callable[[Stream], tuple[Tensor, Tensor]] | None:
+        from nqr_geom.curves.placing import placing
+
+        return placing(self, net, n)
+
     def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
         """The exact answer, and libigl's on polygons within 1e-3 of the curves' size where it is installed."""
         peers = super().peers()

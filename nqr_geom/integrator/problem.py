@@ -414,6 +414,13 @@ class Problem(ABC):
         """
         return None
 
+    def placing(self, net: object, n: int) -> Callable[[Stream], tuple[Tensor, Tensor]] | None:
+        """One compiled pass in which a sampling network places n samples, where this problem has it for the network.
+
+        It gives points (B, n, D) and their densities (B, n), the same as the network's own to single precision.
+        """
+        return None
+
     def reference(self) -> NDArray[np.float64] | None:
         """The true answers G(F), (B, C), where they are known."""
         return None

@@ -5,13 +5,17 @@ Values are measured from the row's mean in the row's unit, so neither an added c
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, flat, sort_samples, standard
 from nqr_geom.integrator.problem import Samples
+from nqr_geom.toy.family import Shape
 from nqr_geom.toy.problem import ToyProblem
+from nqr_geom.toy.split import Gap, Seen
 
 __all__ = ["TOY_TOKENS", "toy_batch"]
 
@@ -64,7 +68,29 @@ def _unlike(samples: Samples) -> Tensor:
     return flat(samples, _LEVEL) | (across > _ACROSS * total)
 
 
-TOY_TOKENS = Extra(14, toy_tokens, checked=(1,), foreign=_unlike)
+def toy_doubt(samples: Samples) -> Tensor:
+    """N times the root of the squared error that is expected of the gap to the right of each sample, (B, N) float64.
+
+    The first sample also answers for the gap to its left. Gaps within pieces whose law is known leave nothing.
+    """
+    order = samples.x[..., 0].argsort(dim=1, stable=True)
+    ordered = samples.permuted(order)
+    b, n = order.shape
+    seen = Seen.empty(ordered.x, n)
+    seen.enter(2, ordered.x[..., 0], ordered.seen)
+    columns = torch.tensor([0, *range(2, n + 2), 1], device=order.device).expand(b, n + 2)
+    gap = Gap.between(seen, columns[:, :-1], columns[:, 1:], Shape())
+    # Two samples tell a parabola, or any law where they are close.
+    smooth = (gap.breaks == 0) & gap.known.all(dim=-1)
+    told = gap.parabola | (smooth & (gap.width * Shape().frequency[1] < math.tau))
+    seen.settled.scatter_add_(1, gap.piece, 3.0 * told.double())
+    settled = (gap.breaks == 0) & (seen.settled.gather(1, gap.piece) > 2.5)
+    error = torch.where(settled, 0.0, gap.score)  # (B, N + 1)
+    own = torch.cat([error[:, :1] + error[:, 1:2], error[:, 2:]], dim=1)
+    return torch.empty_like(own).scatter(1, order, n * own.sqrt())
+
+
+TOY_TOKENS = Extra(14, toy_tokens, checked=(1,), foreign=_unlike, doubt=toy_doubt)
 
 
 def toy_batch(rows: Tensor, seed: int, split: str) -> Batch:

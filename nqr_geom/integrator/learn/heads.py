@@ -218,18 +218,17 @@ class GapHead(Head):
         logits = (keys * query[:, None]).sum(dim=-1) + kept.bias[:, used]
         log_gap = (base[:, used] + logits).log_softmax(dim=-1)
         slot, rest = pick(log_gap.exp(), u[:, 0])
+        # What is left of the first number is uniform again: it decides whether the point is uniform on [0, 1].
+        anywhere = rest < self.floor
+        if bool(anywhere.any()):
+            slot = torch.where(anywhere, gaps.containing(u[:, 2].clamp_max(_BELOW_ONE)), slot)
         log_bin = self._bins(keys[at, slot], state)
         count = log_bin.shape[1]
         bin_, _ = pick(log_bin.exp(), u[:, 1])
-        v = (bin_ + u[:, 2]) / count
-        x = gaps.left[at, slot] + v * (gaps.right[at, slot] - gaps.left[at, slot])
-        # What is left of the first number is uniform again: it decides whether the point is uniform on [0, 1].
-        anywhere = rest < self.floor
-        x = torch.where(anywhere, u[:, 2], x).clamp_max(_BELOW_ONE)
-        slot = torch.where(anywhere, gaps.containing(x), slot)
-        width = (gaps.right[at, slot] - gaps.left[at, slot]).clamp_min(1e-300)
-        bin_ = ((x - gaps.left[at, slot]) / width * count).long().clamp(0, count - 1)
-        log_bin = torch.where(anywhere[:, None], self._bins(keys[at, slot], state), log_bin)
+        left, right = gaps.left[at, slot], gaps.right[at, slot]
+        x = torch.where(anywhere, u[:, 2], left + (bin_ + u[:, 2]) / count * (right - left)).clamp_max(_BELOW_ONE)
+        width = (right - left).clamp_min(1e-300)
+        bin_ = ((x - left) / width * count).long().clamp(0, count - 1)
         scale = math.log(count) - width.log()
         inside = log_gap.gather(1, slot[:, None])[:, 0] + log_bin.gather(1, bin_[:, None])[:, 0]
         density = floored(inside.double() + scale, self.floor).exp()

@@ -19,7 +19,7 @@ from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
 
-__all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct"]
+__all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct", "doubt"]
 
 TILE_TOKENS = 256 * 32  # float32 products change with the batch size, so a network always sees this many tokens
 _LEAST_GROWTH = -30.0
@@ -52,6 +52,9 @@ class INetConfig:
         counts from the mean of the row: an added constant is not seen.
     growth : float
         Largest g.
+    in_doubt : bool
+        All outputs are in units of what the base rule leaves open beside each sample (`Extra.doubt`): a network whose
+        outputs are right to a part in a hundred does no harm where the base rule is nearly exact.
     positive : bool
         The integrals are known not to be negative: where the corrected estimate is not positive, a model answers with
         its base, and says so unless the base has seen nothing either. In training the clamp of Eq. 56 takes care of it.
@@ -68,6 +71,7 @@ class INetConfig:
     doubtful_only: bool = False
     beside: int = 0
     growth: float = 3.0
+    in_doubt: bool = False
     positive: bool = False
 
     @property
@@ -149,7 +153,10 @@ def correct(
     Where all outputs are zero the result is the base rule's, bit for bit. `extra` brings the values beside, if any.
     """
     value, unit = standard(samples.value, config.tokens)
-    raw, beside = raw.to(value.dtype).split([config.outputs - config.beside, config.beside], dim=-1)
+    raw = raw.to(value.dtype)
+    if config.in_doubt:
+        raw = raw * doubt(samples, extra)[..., None, None]
+    raw, beside = raw.split([config.outputs - config.beside, config.beside], dim=-1)
     parts = list(raw.split(config.tokens.channels, dim=-1))
     growth = parts.pop(0) if config.weights == "relative" else None  # g
     change = parts.pop(0)  # h
@@ -177,6 +184,13 @@ def correct(
     elif shift is not None:
         offset = shift
     return replace(base, weights=weights, offset=offset)
+
+
+def doubt(samples: Samples, extra: Extra | None) -> Tensor:
+    """What the application's own rule leaves open beside each sample, (B, N)."""
+    if extra is None or extra.doubt is None:
+        raise ValueError("extra: expected one that tells its rule's doubt, got none")
+    return extra.doubt(samples)
 
 
 def _kept_positive(mine: Combination, base: Combination, samples: Samples, tokens: TokenConfig) -> Combination:

@@ -27,6 +27,7 @@ from nqr_geom.integrator.learn.tokens import sort_samples
 from nqr_geom.integrator.learn.train import (
     TrainConfig,
     draw_batch,
+    expected_error,
     follow,
     identity,
     launch,
@@ -38,7 +39,7 @@ from nqr_geom.streams import Stream
 
 __all__ = ["JointConfig", "JointRecipe", "advantages", "train_jointly"]
 
-_EPS = 1e-12  # of an advantage: far below any squared error worth learning from
+_EPS = 1e-20  # of an advantage: far below any squared error worth learning from
 
 
 @dataclass(frozen=True)
@@ -194,11 +195,15 @@ def train_jointly(
 
     def lesson(iteration: int, rows: Tensor) -> Tensor:
         batch, rollout = roll_out(recipe, snet, rows, recipe.rule.size(sizes, iteration), config)
-        before, behind = residuals(recipe.rule, integrator.model, batch, sort_samples(rollout.samples))
-        value = robust(recipe.rule, before, behind)
+        samples = sort_samples(rollout.samples)
+        before, behind = residuals(recipe.rule, integrator.model, batch, samples)
+        expected = expected_error(recipe.rule, samples)
+        value = robust(recipe.rule, before, behind, expected)
         rate = learning_rate(config, iteration)
         integrator.step(value, rate, iteration)
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)
+        if expected is not None:  # what is expected of the samples says the same with less noise, if it is right
+            outcome = 0.5 * (outcome + expected[:, 0])
         gain = advantages(outcome.view(len(rows), config.group)).flatten()
         likelihood = sampler.model(rollout).mean(dim=1)
         sampler.step(-(gain * likelihood).mean(), rate * config.sampler_rate / config.rate, iteration)

@@ -69,7 +69,7 @@ def fit_shares(
     spent = _BLEND_SAMPLES if sampler is None else _BLEND_SAMPLES // 8  # a network places samples slowly
     shares: list[float] = []
     for n in sizes:
-        if n > recipe.largest or (shares and shares[-1] == 0.0):
+        if n > recipe.largest or (n > trained and shares and shares[-1] == 0.0):
             shares.append(0.0)
             continue
         gain, total = 0.0, 0.0

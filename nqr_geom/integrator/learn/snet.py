@@ -271,6 +271,8 @@ class LearnedSampler(Sampler):
                 f"{problem.name!r} has {problem.dim}"
             )
 
+        place = problem.placing(self.net, min(n, self.most))
+
         def tile(start: int) -> Samples:
             count = min(TILE_ROWS, problem.batch - start)
             index = torch.arange(start, start + TILE_ROWS, device=problem.rows.device).clamp_max(problem.batch - 1)
@@ -278,10 +280,14 @@ class LearnedSampler(Sampler):
                 placed = self.net.sample(problem.take(index), min(n, self.most), stream).samples
             return placed.take(slice(0, count))
 
-        # The operations are too small to be shared out themselves.
-        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-            parts = list(pool.map(tile, range(0, problem.batch, TILE_ROWS)))
-        placed = replace(Samples.stack(parts), design=self.name)
+        if place is not None:
+            x, density = place(stream)
+            placed = Samples(x, problem.evaluate(x), density[..., None].expand(-1, -1, problem.techniques), self.name)
+        else:
+            # The operations are too small to be shared out themselves.
+            with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+                parts = list(pool.map(tile, range(0, problem.batch, TILE_ROWS)))
+            placed = replace(Samples.stack(parts), design=self.name)
         if n <= self.most:
             return placed
         rest = Stratified().draw(problem, n - self.most, stream.child("rest"))

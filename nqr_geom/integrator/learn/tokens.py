@@ -43,6 +43,9 @@ class Extra:
         Features that only the samples of a training family bring.
     foreign : callable, optional
         Samples to integrals, (B,) bool, that are unlike the family though each of their quantities is within its range.
+    doubt : callable, optional
+        Samples to what the application's own rule leaves open beside each of them: its expected squared error is the
+        mean over N of doubt^2 / N, (B, N).
     """
 
     size: int
@@ -52,6 +55,7 @@ class Extra:
     check: Callable[[Samples], Tensor] | None = None
     taught: tuple[str, ...] = ()
     foreign: Callable[[Samples], Tensor] | None = None
+    doubt: Callable[[Samples], Tensor] | None = None
 
 
 def flat(samples: Samples, part: float = 5e-2) -> Tensor:

@@ -18,16 +18,19 @@ import torch
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.integrator.learn.inet import INet, correct, has_bfloat16
+from nqr_geom.integrator.learn.inet import INet, correct, doubt, has_bfloat16
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
 from nqr_geom.integrator.problem import ExpLink, LogLink, Samples
 from nqr_geom.integrator.samplers import Sampler
+from nqr_geom.integrator.sums import row_mean
 from nqr_geom.streams import Stream
 
 __all__ = ["TrainConfig", "draw_batch", "learning_rate", "loss", "residuals", "robust", "train"]
+
+_SMALLEST = 1e-9  # error that counts as one: below, rounding would be learned
 
 
 @dataclass(frozen=True)
@@ -136,15 +139,23 @@ def residuals(
     )
 
 
-def robust(recipe: Recipe, before: Tensor, behind: Tensor | None) -> Tensor:
-    """Mean (robust) squared error of residuals (Eqs. 53 to 56)."""
-    first = _huber(before, recipe.huber).mean()
+def expected_error(recipe: Recipe, samples: Samples) -> Tensor | None:
+    """Squared error that the base rule itself expects, (B, 1), of networks that work in units of its doubt."""
+    if not recipe.config.in_doubt:
+        return None
+    return (row_mean(doubt(samples, recipe.extra).square()) / samples.n)[:, None]
+
+
+def robust(recipe: Recipe, before: Tensor, behind: Tensor | None, expected: Tensor | None = None) -> Tensor:
+    """Mean (robust) squared error of residuals (Eqs. 53 to 56), in units of the expected ones if they are given."""
+    unit = 1.0 if expected is None else expected.sqrt().clamp_min(_SMALLEST)
+    first = _huber(before / unit, recipe.huber).mean()
     return first if behind is None else recipe.inner * first + recipe.outer * _huber(behind, recipe.huber).mean()
 
 
 def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
     """Mean (robust) squared error of the corrected rule over a batch, before and behind the link."""
-    return robust(recipe, *residuals(recipe, net, batch, samples))
+    return robust(recipe, *residuals(recipe, net, batch, samples), expected_error(recipe, samples))
 
 
 @torch.no_grad()
