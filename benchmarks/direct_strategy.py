@@ -69,28 +69,22 @@ def looked(problem: DirectProblem, pair: tuple[str, str], seed: int = 0, n: int 
     )
 
 
-def lights_of(problem: DirectProblem) -> Tensor:
-    """Number of the first light of each pixel's scene, (B,)."""
-    first = np.cumsum([0, *(len(scene.lights) for scene in problem.world.scenes)])
-    return torch.from_numpy(first[problem.groups])
-
-
 def brought(problem: DirectProblem) -> Tensor:
     """Share of each light in what a pixel gets, (B, lights), from many passes of both techniques; zero in the dark."""
     pair = Pmj(), BalanceHeuristic()
     most = max(len(scene.lights) for scene in problem.world.scenes)
-    total, first = torch.zeros(problem.batch, most, dtype=torch.float64), lights_of(problem)
+    total = torch.zeros(problem.batch, most, dtype=torch.float64)
     for rows in torch.arange(problem.batch).split(TILE):
         samples = pair[0].draw(problem.take(rows), MANY, Stream(1, "validation", "lights"))
-        light = (samples.seen.features["light"][..., 0].long() - first[rows, None, None]).flatten(1)
+        light = samples.seen.features["light"][..., 0].long().flatten(1)
         given = (pair[1].combine(samples).weights * samples.value).sum(dim=3).flatten(1)
         total[rows] = torch.zeros(len(rows), most, dtype=torch.float64).scatter_add(1, light.clamp_min(0), given)
     return total / total.sum(dim=1, keepdim=True).clamp_min(1e-300)
 
 
-def chosen(problem: DirectProblem, samples: Samples, lights: int) -> Tensor:
+def chosen(samples: Samples, lights: int) -> Tensor:
     """Share of each light in the directions towards lights, (B, lights)."""
-    light = samples.seen.features["light"][:, :, LIGHT, 0].long() - lights_of(problem)[:, None]
+    light = samples.seen.features["light"][:, :, LIGHT, 0].long()
     return torch.nn.functional.one_hot(light.clamp_min(0), lights).double().mean(dim=1)
 
 
@@ -109,7 +103,7 @@ def summary(name: str, pair: tuple[str, str], problem: DirectProblem, truth: Ten
     scene = torch.from_numpy(problem.groups)
     unit = torch.stack([runs[:, scene == k, 2].mean() for k in range(SCENES)])[scene]
     scatter = (runs.std(dim=0) / unit[:, None]).square().mean(dim=0).sqrt()
-    choice = chosen(problem, seen.samples, truth.shape[1])
+    choice = chosen(seen.samples, truth.shape[1])
     features, weights = seen.samples.seen.features, seen.weights.mean(dim=3)
     shone = (features["visible"][:, :, LIGHT, 0] > 0.0) & lit[:, None]
     rim = seen.samples.x[:, :, 4] > RIM
@@ -151,8 +145,7 @@ def stars(problem: DirectProblem, truth: Tensor, seen: Seen) -> dict[str, int]:
     """Pixels to look at: matt in half shadow, matt under several lights, metal that mirrors a lamp."""
     kind, roughness = (torch.from_numpy(problem.surfaces[name]) for name in ("kind", "roughness"))
     features = seen.samples.seen.features
-    best = lights_of(problem) + truth.argmax(dim=1)
-    towards = features["light"][:, :, LIGHT, 0] == best[:, None]
+    towards = features["light"][:, :, LIGHT, 0] == truth.argmax(dim=1)[:, None]
     visible = features["visible"][:, :, LIGHT, 0]
     shown = torch.where(towards, visible, 0.0).sum(dim=1) / towards.sum(dim=1).clamp_min(1)
     matt = (kind == DIFFUSE) & (truth.sum(dim=1) > 0.0)
@@ -180,7 +173,7 @@ def draw_lights(problem: DirectProblem, truth: Tensor, seen: dict[str, Seen], at
         image.annotate(name, (x, y), textcoords="offset points", color="white", fontsize=8, **side)
         rows = torch.tensor([(y + j) * SIZE + x + i for j in range(-2, 3) for i in range(-2, 3)])
         shares = {"brought": truth[rows].mean(dim=0)} | {
-            design: chosen(problem, of.samples, truth.shape[1])[rows].mean(dim=0) for design, of in designs.items()
+            design: chosen(of.samples, truth.shape[1])[rows].mean(dim=0) for design, of in designs.items()
         }
         wide = 0.8 / len(shares)
         for k, ((label, share), colour) in enumerate(zip(shares.items(), ("0.3", *SEVERAL), strict=False)):
