@@ -11,12 +11,13 @@ import torch
 
 from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.learn.recipe import draw_samples
+from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import BalanceHeuristic
 from nqr_geom.integrator.samplers import Pmj
 from nqr_geom.render import direct_training
-from nqr_geom.render.direct_rules import UnhiddenLight
-from nqr_geom.render.direct_tokens import DIRECT_TOKENS
+from nqr_geom.render.direct_rules import KnownLight, UnhiddenLight
+from nqr_geom.render.direct_tokens import DIRECT_TOKENS, KNOWN_TOKENS
 from nqr_geom.render.direct_training import direct_batch
 from nqr_geom.streams import Stream
 
@@ -78,15 +79,32 @@ def test_tokens_hold_the_balance_heuristic_and_the_structured_rule() -> None:
         np.testing.assert_allclose(shares[rows], weighted[rows], rtol=2e-4, atol=1e-5)
 
 
-def test_tokens_know_no_brightness_and_no_order() -> None:
+def test_tokens_of_known_light_go_on_with_what_its_rule_makes_of_a_sample() -> None:
     samples = seen()
-    here = DIRECT_TOKENS.compute(samples)
-    bright = {name: tensor * (8.0 if name in ("incident", "radiance", "unhidden") else 1.0)
-              for name, tensor in samples.seen.features.items()}  # fmt: skip
+    tokens = KNOWN_TOKENS.compute(samples)
+    assert tokens.shape == (60, 16, 2, KNOWN_TOKENS.size)
+    assert torch.equal(tokens[..., : DIRECT_TOKENS.size], DIRECT_TOKENS.compute(samples))
+    assert tokens.isfinite().all()
+    combination = KnownLight().combine(samples)
+    weighted = (combination.weights * samples.value).sum(dim=2).mean(dim=1)
+    unit = samples.value.abs().mean(dim=(1, 2))
+    shares = tokens[..., DIRECT_TOKENS.size :][..., :3].double().expm1().sum(dim=2).mean(dim=1) * unit
+    np.testing.assert_allclose(shares, weighted, rtol=2e-4, atol=1e-5)
+    seen_of_light = tokens[..., DIRECT_TOKENS.size + 10]
+    assert (seen_of_light >= 0.0).all()
+    assert (seen_of_light <= 1.0 + 1e-6).all()
+
+
+@pytest.mark.parametrize("kind", [DIRECT_TOKENS, KNOWN_TOKENS], ids=["direct", "known"])
+def test_tokens_know_no_brightness_and_no_order(kind: Extra) -> None:
+    samples = seen()
+    here = kind.compute(samples)
+    scaled = ("incident", "radiance", "unhidden", "known", "known_all", "expected")
+    bright = {name: tensor * (8.0 if name in scaled else 1.0) for name, tensor in samples.seen.features.items()}
     brighter = replace(samples, seen=replace(samples.seen, value=8.0 * samples.value, features=bright))
-    np.testing.assert_allclose(DIRECT_TOKENS.compute(brighter), here, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(kind.compute(brighter), here, rtol=1e-6, atol=1e-6)
     order = torch.arange(15, -1, -1).expand(60, 16)
-    turned = DIRECT_TOKENS.compute(samples.permuted(order))
+    turned = kind.compute(samples.permuted(order))
     np.testing.assert_allclose(turned.flip(1), here, rtol=1e-5, atol=1e-5)
 
 
