@@ -38,6 +38,8 @@ CLASSICAL = ("mc", "trapezoid", "regression-3", "regression-5")
 # Structure-aware rule, network on it, network on the uniform base.
 LEARNED = {"toy": ("toy-hermite", "inet-toy-structured", "inet-toy-uniform"),
            "gwn": ("gwn-hermite", "inet-gwn-structured", "inet-gwn-uniform")}  # fmt: skip
+# Pairs of the paper's form beside a pair on a structured sampler.
+UNIFORM_PAIRS = {"toy": ("toy-nqr-uniform",)}
 # Small networks that stand for them in compiled code.
 STUDENTS = {"gwn": ("inet-gwn-student", "inet-gwn-student-uniform")}
 
@@ -77,6 +79,8 @@ def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Seque
         base = base_of(*joint[::-1])
         weighing = dict.fromkeys((base or LEARNED[problem][0], LEARNED[problem][0], joint[1], LEARNED[problem][2]))
         pairs += [(joint[0], rule) for rule in weighing]
+    for name in UNIFORM_PAIRS.get(problem, ()):
+        pairs += [(f"snet-{name}", rule) for rule in ("uniform", LEARNED[problem][0], f"inet-{name}")]
     return pairs
 
 

@@ -1,6 +1,6 @@
 """What learning adds: a base rule, a network on that base, and a network on the uniform base, on the same samples.
 
-    python benchmarks/learned.py [toy gwn] [--quick]
+    python benchmarks/learned.py [toy gwn] [--quick | --samplers]
 
 Held-out integrals (split "test"): for gwn the centres of a fixed 128 x 128 grid over [-1, 1]^2, every eighth along both
 axes, without those nearer than 1e-3 to the curve. Mean squared errors at 32 samples with 95% bootstrap intervals over
@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from comparison import SEED, N, pairs_for, rows_of, show
+from comparison import PLAIN, SEED, N, pairs_for, rows_of, show
 from numpy.typing import NDArray
 from shapes import write
 
-from nqr_geom import check
+from nqr_geom import check, registry
 from nqr_geom.integrator.problem import Problem
 
 KEPT = Path(__file__).parent / "results" / "learned.json"
@@ -59,6 +59,11 @@ def toy(integrands: int) -> Problem:
     return ToyProblem.family(integrands, SEED, "test")
 
 
+def structured(name: str) -> tuple[str, str]:
+    """Sampler and rule of the problem's structured method."""
+    return registry.method("structured", name)
+
+
 def write_cards(rows: list[dict[str, Any]]) -> None:
     """Put what was measured on the networks into their cards."""
     from nqr_geom.integrator.learn.zoo import Card, write_card
@@ -79,13 +84,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("problems", nargs="*", default=["toy", "gwn"])
     parser.add_argument("--quick", action="store_true", help="a tenth of the integrals; writes nothing")
+    parser.add_argument("--samplers", action="store_true", help="sampling networks alone, on a fifth of the integrals")
     arguments = parser.parse_args()
-    less = 10 if arguments.quick else 1
+    less = 10 if arguments.quick else 5 if arguments.samplers else 1
     rows: list[dict[str, Any]] = []
     for name in arguments.problems:
         check.choice("problems", name, ["toy", "gwn"])
         problem = gwn(100 // less) if name == "gwn" else toy(20000 // less)
-        part = rows_of(name, problem, pairs_for(name, ("mc", "trapezoid")), runs=1 if name == "gwn" else 2)
+        pairs = pairs_for(name, ("mc", "trapezoid"))
+        if arguments.samplers:
+            pairs = [PLAIN, *(pair for pair in pairs if pair[0].startswith("snet-") or pair == structured(name))]
+        part = rows_of(name, problem, pairs, runs=1 if name == "gwn" or arguments.samplers else 2)
         for row in part:
             if "gain" in row and row["design"] in PAPER[name]:
                 row["paper"] = PAPER[name][row["design"]]
@@ -94,7 +103,13 @@ def main() -> None:
     if not arguments.quick:
         write_cards(rows)
         others = json.loads(KEPT.read_text())["rows"] if KEPT.exists() else []
-        rows += [row for row in others if row["problem"] not in arguments.problems]
+        if arguments.samplers:  # the other rows stay; so does Monte Carlo's, on all integrals
+            rows = [row for row in rows if row["design"] != "random"]
+            new = {(row["problem"], row["design"], row["rule"]) for row in rows}
+            old = [row for row in others if (row["problem"], row["design"], row["rule"]) not in new]
+            rows = [row for row in old if row["problem"] in arguments.problems] + rows
+            others = [row for row in old if row["problem"] not in arguments.problems]
+        rows += [row for row in others if arguments.samplers or row["problem"] not in arguments.problems]
         write("learned", rows, n=N, seed=SEED, stride=STRIDE, nearest=NEAREST)
 
 
