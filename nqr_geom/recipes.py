@@ -229,6 +229,7 @@ RECIPES: dict[str, Recipe] = {
             extra=WALK_TOKENS,
             designs=("walk-spread",),
             largest=128,
+            trust=2e-3,
         ),
         Recipe(
             name="p-laplace",

@@ -49,12 +49,15 @@ class Combination:
         Integrals where the rule gave way to a safer one.
     link : Link, or None
         A link of the rule's own, where it states its estimate in another scale than the values'.
+    doubt : Tensor, (B,), or None
+        How much of the answer is a guess, in [0, 1], where the rule knows: 0 where its samples tell all.
     """
 
     weights: Tensor
     offset: Tensor | None = None
     fallback: Tensor | None = None
     link: Link | None = None
+    doubt: Tensor | None = None
 
     def per_sample(self, samples: Samples) -> Tensor:
         """The terms whose mean over N is the estimate, (B, N, C)."""

@@ -102,13 +102,31 @@ def _tangent(seen, chord, straight, i, j, at):  # type: ignore[no-untyped-def]
 
 
 @_kernel
-def _bulge(parts, count, seen, i, j, arc, side, whole, mean, fade):  # type: ignore[no-untyped-def]
-    """A circular arc of the given length from sample i to sample j, on the right of the chord (side 1) or the left."""
+def _surrounded(seen, low, n):  # type: ignore[no-untyped-def]
+    """Whether chords between the samples low .. low + n of a loop enclose the query: they cross a ray an odd number
+    of times."""
+    inside = False
+    for i in range(low, low + n):
+        j = i + 1 if i + 1 < low + n else low
+        x0, y0, x1, y1 = seen[i, 1], seen[i, 2], seen[j, 1], seen[j, 2]
+        if (y0 > 0.0) != (y1 > 0.0):
+            inside ^= (x0 * y1 - x1 * y0 > 0.0) == (y1 > y0)
+    return inside
+
+
+@_kernel
+def _bulge(parts, count, seen, i, j, arc, side, around, whole, mean, fade):  # type: ignore[no-untyped-def]
+    """A guess of the given length from sample i to sample j, on the right of the chord (side 1) or the left.
+
+    Where it may have to go `around` the query it is a circular arc, else an isosceles triangle: a pocket that
+    stays behind its chord however deep it is, so that it hides nothing that was seen.
+    """
     x0, y0, g0 = seen[i, 1], seen[i, 2], seen[i, 3]
     x1, y1, g1 = seen[j, 1], seen[j, 2], seen[j, 3]
     dx, dy = x1 - x0, y1 - y0
     chord = _length(dx, dy)
     phi = _half_angle(arc / chord) if chord > 1e-9 * arc else math.pi
+    pocket = phi < math.pi and not (around and (side < 0.0 or x0 * y1 < x1 * y0))
     if phi < math.pi:
         dx, dy = dx / chord, dy / chord
     else:  # a loop seen in one place: a circle behind it if it is a hole, around the query if it is the outline
@@ -124,15 +142,22 @@ def _bulge(parts, count, seen, i, j, arc, side, whole, mean, fade):  # type: ign
     pieces = min(max(2, math.ceil(2.0 * phi / _TURN)), 3 + int(_PIECES * arc / whole))
     rate = min(arc / (fade * whole), 300.0)
     full = math.sinh(rate)
+    deep = math.sqrt(max(arc * arc - chord * chord, 0.0))
+    if pocket:
+        pieces += pieces % 2
     x, y, g = x0, y0, g0
     for k in range(1, pieces + 1):
         t = k / pieces
         if k == pieces:
             nx, ny, ng = x1, y1, g1
         else:
-            turn = phi * (2.0 * t - 1.0)
-            nx = cx + radius * (math.cos(turn) * outx + math.sin(turn) * dx)
-            ny = cy + radius * (math.cos(turn) * outy + math.sin(turn) * dy)
+            if pocket:
+                off = deep * min(t, 1.0 - t)
+                nx, ny = x0 + t * (x1 - x0) + off * outx, y0 + t * (y1 - y0) + off * outy
+            else:
+                turn = phi * (2.0 * t - 1.0)
+                nx = cx + radius * (math.cos(turn) * outx + math.sin(turn) * dx)
+                ny = cy + radius * (math.cos(turn) * outy + math.sin(turn) * dy)
             a, b = math.sinh(rate * (1.0 - t)) / full, math.sinh(rate * t) / full
             ng = mean + a * (g0 - mean) + b * (g1 - mean)
         count = _put(parts, count, x, y, g, nx, ny, ng, 1.0)
@@ -141,7 +166,7 @@ def _bulge(parts, count, seen, i, j, arc, side, whole, mean, fade):  # type: ign
 
 
 @_kernel
-def _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, whole, mean, fade):  # type: ignore[no-untyped-def]
+def _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, around, whole, mean, fade):  # type: ignore[no-untyped-def]
     """Parts from sample i to the next one, j, of the loop low .. low + n, where the boundary is not straight."""
     x0, y0, g0 = seen[i, 1], seen[i, 2], seen[i, 3]
     x1, y1, g1 = seen[j, 1], seen[j, 2], seen[j, 3]
@@ -163,11 +188,12 @@ def _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, whole,
             elif off_two == np.inf:
                 right = left
             g = 0.5 * (left + right)
-            count = _put(parts, count, x0, y0, g0, x, y, g, 0.0)
-            return _put(parts, count, x, y, g, x1, y1, g1, 0.0)
+            guess = 1.0 if off_one == np.inf and off_two == np.inf else 0.0  # the corner is known, its value is not
+            count = _put(parts, count, x0, y0, g0, x, y, g, guess)
+            return _put(parts, count, x, y, g, x1, y1, g1, guess)
     if gap[i] <= _FLAT * chord[i] and n > 1:
-        return _put(parts, count, x0, y0, g0, x1, y1, g1, 0.0)
-    return _bulge(parts, count, seen, i, j, gap[i], side, whole, mean, fade)
+        return _put(parts, count, x0, y0, g0, x1, y1, g1, 1.0)
+    return _bulge(parts, count, seen, i, j, gap[i], side, around, whole, mean, fade)
 
 
 @_kernel
@@ -216,11 +242,12 @@ def parts_of(seen, loops, fade, gap, chord, straight, parts):  # type: ignore[no
     for loop in range(len(loops)):
         low, n = first[loop], first[loop + 1] - first[loop]
         side = 1.0 if loop == 0 else -1.0  # the outline turns left on the whole, holes turn right
+        around = loop > 0 or not _surrounded(seen, low, n)
         for i in range(low, low + n):
             j = i + 1 if i + 1 < low + n else low
             if straight[i]:
                 a, b = seen[i], seen[j]
                 count = _put(parts, count, a[1], a[2], a[3], b[1], b[2], b[3], 0.0)
                 continue
-            count = _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, loops[-1], mean, fade)
+            count = _across(parts, count, seen, gap, chord, straight, low, n, i, j, side, around, loops[-1], mean, fade)
     return count

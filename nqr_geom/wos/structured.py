@@ -50,7 +50,7 @@ class Fit(NamedTuple):
     value : (B,) float64
         The average; NaN where there is none.
     hidden : (B,) float64
-        How much of the measure lies on boundary that is a guess.
+        How much of the measure lies on boundary of which shape or values are a guess.
     lost : (B,) float64
         Measure below zero that was cut off: what the rebuilt boundary asks for and no motion can have.
     panels : (B,) int64
@@ -204,7 +204,7 @@ class WalkFit(Rule):
     True
     """
 
-    step: float = 0.35
+    step: float = 0.25
     fade: float = 0.07
     least: float = 0.5
     doubt: float = 0.2
@@ -231,7 +231,9 @@ class WalkFit(Rule):
             answer = torch.from_numpy(fit.value).to(value)
             offsets.append(torch.where(plain, 0.0, answer - row_mean(weights * value[..., channel])))
         whole = weights[..., None, None].expand_as(samples.value)
-        return Combination(whole, torch.stack(offsets, dim=1), plain)
+        # What is hidden is a question of geometry, the same for all channels.
+        doubt = torch.from_numpy(fit.hidden).to(value.device).clamp(0.0, 1.0)
+        return Combination(whole, torch.stack(offsets, dim=1), plain, doubt=doubt)
 
 
 def _plain_weights(samples: Samples) -> Tensor:

@@ -158,6 +158,12 @@ def reach(samples: Samples) -> Tensor:
     return torch.hypot(end[..., 0], end[..., 1]).clamp(1e-6, 1e6).log().float()[:, :, None, None]
 
 
+def _holed(samples: Samples) -> Tensor:
+    """Domains with holes, (B,) bool: no network over walks has learned on any."""
+    loops = samples.feature("loops", "inet")[:, 0, 0]
+    return loops[:, -1] > loops[:, 0]
+
+
 # A corner cut off at the last step, or a query in the shell, may end nearer than the first radius; nothing ends farther
 # than the domain is wide.
 WALK_TOKENS = Extra(
@@ -166,5 +172,6 @@ WALK_TOKENS = Extra(
     checked=(12 * _STEP + 2,),
     beside=boundary_values,
     check=reach,
+    foreign=_holed,
     taught=("known",),
 )

@@ -118,12 +118,28 @@ def test_hidden_parts_bulge_outwards_and_fade_to_the_mean():
     domain, seen = seen_of(SQUARE, [1.0, 2.0, 2.0, 1.0], [0.4, 0.6])
     hidden = rebuilt(seen[:4], [domain.arc[-1] + domain.lengths[-1]], fade=0.05)
     guess = hidden[hidden[:, 6] == 1.0]
+    corner, guess = guess[:2], guess[2:]
+    assert abs(np.hypot(*(corner[:, 3:5] - corner[:, :2]).T).sum() - (seen[2, 0] - seen[1, 0])) < 1e-9  # its value
     length = np.hypot(*(guess[:, 3:5] - guess[:, :2]).T).sum()
     whole = domain.lengths.sum()
     assert abs(length - (whole - (seen[3, 0] - seen[0, 0]))) < 0.03 * whole
     middle = guess[len(guess) // 2]
     assert 1.2 < middle[2] < 2.0
     assert middle[0] < 0.0  # on the far side of the two edges that were seen
+
+
+def test_pockets_stay_behind_their_chords():
+    """A deep channel of which only the mouth was seen: its guess does not spread sideways over others."""
+    comb = np.array([[-1, -1], [1, -1], [1, 0], [0.02, 0], [0.02, 0.9], [-0.02, 0.9], [-0.02, 0], [-1, 0.0]])
+    domain, seen = seen_of(comb, np.arange(8.0), [0.0, 0.3, 0.7])
+    seen = np.delete(seen, [10, 11, 12, 13, 14, 15, 16, 17], axis=0)  # what lies in the channel
+    corner = domain.start[[3, 6]]
+    seen[:, 1:3] -= corner.mean(axis=0) - [0.0, 0.3]  # the query below the mouth
+    parts = rebuilt(seen, [domain.arc[-1] + domain.lengths[-1]])
+    beyond = np.concatenate([parts[:, :2], parts[:, 3:5]])
+    beyond = beyond[beyond[:, 1] > 0.3 + 1e-9]
+    assert len(beyond)
+    assert np.abs(beyond[:, 0]).max() <= 0.5 * (corner[0] - corner[1])[0] + 1e-9
 
 
 def test_panels_are_as_long_as_they_are_far():

@@ -40,7 +40,11 @@ def page(card: Card) -> str:
             "intervals.",
             _measured(card.table),
         ]
-    parts += ["## As samples grow", f"The network counts this much, `{card.consistent}` the rest.", _shares(card)]
+    parts += [
+        "## As samples grow",
+        f"The network counts this much, `{card.consistent}` the rest." + _trust(card),
+        _shares(card),
+    ]
     if card.command:
         parts += ["## Made by", f"    {card.command}"]
     return "\n\n".join(parts) + "\n"
@@ -100,6 +104,14 @@ def _measured(table: dict[str, Any]) -> str:
 
 def _interval(interval: Sequence[float] | None) -> str:
     return "" if interval is None else " .. ".join(map(_number, interval))
+
+
+def _trust(card: Card) -> str:
+    if not card.trust:
+        return ""
+    return (
+        f" Where that rule says how much of its answer is a guess, d, this is multiplied by d / (d + {card.trust:g})."
+    )
 
 
 def _shares(card: Card) -> str:

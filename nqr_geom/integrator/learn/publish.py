@@ -15,7 +15,7 @@ from nqr_geom.integrator.learn.recipe import Recipe
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.snet import LearnedSampler
 from nqr_geom.integrator.learn.train import draw_batch
-from nqr_geom.integrator.learn.zoo import BLEND_SIZES, Card, checked, save
+from nqr_geom.integrator.learn.zoo import BLEND_SIZES, Card, checked, save, trusted
 from nqr_geom.integrator.samplers import Sampler
 
 __all__ = ["fit_shares", "measure_box", "publish"]
@@ -57,11 +57,12 @@ def fit_shares(
     sizes: Sequence[int] = BLEND_SIZES,
     seed: int = 0,
     sampler: Sampler | None = None,
+    trust: float = 0.0,
 ) -> tuple[float, ...]:
     """Share of the network at each N that minimises the squared error on validation integrals.
 
     Behind a link the error is no parabola in the share, so the best of `_CANDIDATES` is taken. Beyond the trained sizes
-    shares only fall, and from the first negligible one on they are 0.
+    shares only fall, and from the first negligible one on they are 0. Shares count beside `trust`, see `Card`.
     """
     learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
     safe = registry.make("rule", recipe.consistent)
@@ -80,6 +81,8 @@ def fit_shares(
             combined = [rule.combine(samples) for rule in (learned, safe)]
             link = combined[0].link or link
             mine, theirs = (part.estimate(samples) for part in combined)
+            if trust and combined[1].doubt is not None:
+                mine = theirs + trusted(combined[1].doubt, trust)[:, None] * (mine - theirs)
             if link.name == "identity":
                 gain += float(((theirs - batch.answer) * (theirs - mine)).sum())
                 total += float((theirs - mine).square().sum())
@@ -152,9 +155,10 @@ def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, c
         },
         low=low,
         high=high,
-        shares=fit_shares(rule, net, seed=trained["seed"], sampler=sampler),
+        shares=fit_shares(rule, net, seed=trained["seed"], sampler=sampler, trust=rule.trust),
         command=command,
         sampler=None if snet is None else snet.config,
         group=trained.get("group", 0),
+        trust=rule.trust,
     )
     return save(folder, net, card, snet)

@@ -72,6 +72,8 @@ class Recipe:
         Errors beyond it count linearly instead of squared, so that one near singularity does not drown a batch.
     inner, outer : float
         Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
+    trust : float
+        Doubt of the consistent rule at which the network counts half of its share (`Card.trust`); 0: that is not asked.
     """
 
     name: str
@@ -89,6 +91,7 @@ class Recipe:
     huber: float = 1.0
     inner: float = 0.2
     outer: float = 0.8
+    trust: float = 0.0
 
     def base_rule(self) -> Rule:
         """The rule that the network corrects."""

@@ -26,7 +26,7 @@ from nqr_geom.integrator.learn.tokens import Extra, sort_samples
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 
-__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save", "write_card"]
+__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save", "trusted", "write_card"]
 
 BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _MARGIN = 0.1  # of the trained range, beyond either end
@@ -63,6 +63,9 @@ class Card:
         Architecture of the sampling network that was trained with it; its weights lie in the same file.
     group : int
         Sequences for an integral in joint training.
+    trust : float
+        Where the consistent rule tells its doubt d, the share is multiplied by d / (d + trust): what that rule knows
+        is not left to a network. 0: it counts the same everywhere.
     """
 
     name: str
@@ -84,6 +87,7 @@ class Card:
     sha256: str = ""
     sampler: SNetConfig | None = None
     group: int = 0
+    trust: float = 0.0
 
     def to_json(self) -> str:
         """The card as JSON text; `from_json` is its inverse."""
@@ -92,6 +96,8 @@ class Card:
             del data["sampler"], data["group"]
         else:
             data["sampler"] = self.sampler.to_dict()
+        if not self.trust:
+            del data["trust"]
         return json.dumps(data, indent=1) + "\n"
 
     @classmethod
@@ -291,12 +297,12 @@ class Model(Rule):
         if share == 0.0 or not inside.any():
             return replace(safe, fallback=self._gave_way(torch.ones_like(inside), safe))
         learned = self.learned.combine(samples)
-        part = share * inside.to(samples.value.dtype)
+        part = share * trusted(safe.doubt, self.card.trust) * inside.to(samples.value.dtype)
         return replace(
             learned,
             weights=_mix(part[:, None, None, None], learned.weights, safe.weights),
             offset=_mix_offsets(part, learned, safe),
-            fallback=self._gave_way(~inside | (share < 0.5), safe, learned),
+            fallback=self._gave_way(~inside | (share < 0.5 * max(self.card.shares)), safe, learned),
         )
 
     def _gave_way(self, unknown: Tensor, *combinations: Combination) -> Tensor:
@@ -305,6 +311,19 @@ class Model(Rule):
         if self.card.config.doubtful_only:
             unknown = torch.zeros_like(unknown)  # elsewhere the base is sure of itself, and flags the rest
         return torch.stack([unknown, *doubts]).any(dim=0)
+
+
+def trusted(doubt: Tensor | None, trust: float) -> Tensor | float:
+    """What a network counts beside a rule that is in doubt, (B,), see `Card.trust`.
+
+    Examples
+    --------
+    >>> trusted(torch.tensor([0.0, 0.01, 1.0]), 0.01).tolist()[:2], trusted(None, 0.01)
+    ([0.0, 0.5], 1.0)
+    """
+    if doubt is None or trust == 0.0:
+        return 1.0
+    return doubt / (doubt + trust)
 
 
 def _mix(part: Tensor, learned: Tensor, safe: Tensor) -> Tensor:
