@@ -82,7 +82,7 @@ def fit_shares(
             link = combined[0].link or link
             mine, theirs = (part.estimate(samples) for part in combined)
             if trust and combined[1].doubt is not None:
-                mine = theirs + trusted(combined[1].doubt, trust)[:, None] * (mine - theirs)
+                mine = theirs + torch.as_tensor(trusted(combined[1].doubt, trust)).reshape(-1, 1) * (mine - theirs)
             if link.name == "identity":
                 gain += float(((theirs - batch.answer) * (theirs - mine)).sum())
                 total += float((theirs - mine).square().sum())
