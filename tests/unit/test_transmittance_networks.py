@@ -54,6 +54,17 @@ def test_networks_are_better_than_ray_marching(name: str) -> None:
     assert error(volume, "nqr") < plain / 4.0
 
 
+def test_rays_through_the_hole_of_a_ring_are_not_stopped_by_a_shape_that_is_not_there() -> None:
+    """Beside its axis a squared distance to a ring bends downwards, which must not be carried on."""
+    donut = ng.datasets.donut()
+    rays_of_all = view(donut, 32)
+    for row, seed in ((527, 1000), (528, 1003), (530, 1011), (563, 1011)):
+        rays = [part[row : row + 1] for part in rays_of_all]
+        truth = TransmittanceProblem.of(donut, *rays, support="pieces").reference()[:, 0]
+        got = render.transmittance(donut, *rays, method="nqr", seed=seed, rows=np.array([row]))
+        np.testing.assert_allclose(got, truth, atol=0.02)
+
+
 def test_nothing_is_guessed_where_nothing_absorbs() -> None:
     cloud = render.Spheres([[5.0, 5.0, 5.0]], [1.0], [0.0] * 3, [10.0] * 3, noise=render.Noise())
     aside = [[0.5, 0.5, 0.0], [20.0, 5.0, 0.0], [9.5, 0.5, 0.0]], [[0.0, 0.0, 1.0]] * 3, [10.0, 10.0, 0.0]
