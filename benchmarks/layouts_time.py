@@ -53,3 +53,12 @@ def _break_even(rows: list[Row]) -> str:
     query = next((1000.0 * row["query_us"] for row in rows if row["kind"] == "break-even"), 0.0)
     told = f"\nFrom which cost of a query on each wins at equal time (here one costs {short(query)} ns):\n\n"
     return told + markdown(head, lines)
+
+
+def sampling(rows: list[Row]) -> str:
+    """A sampling network alone and with its integrator, compiled and not."""
+    size = rows[0]["resolution"]
+    return markdown(
+        [f"processor time, 32 samples, {size} x {size}", "us a query", "times Monte Carlo's"],
+        [[row["method"], short(row["us_per_query"]), short(row["times_mc"])] for row in rows],
+    )

@@ -19,7 +19,7 @@ import layouts_plans
 import layouts_render
 import layouts_sd
 import targets
-from layouts_time import learned_time
+from layouts_time import learned_time, sampling
 from page import Row, interval, markdown, short, span
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -219,6 +219,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("exact_distance", "Closest points against libigl's", exact),
     ("gwn_methods", "Curves from point queries only: shapes of Fig. 38, Lissajous and Fourier curves", methods),
     ("gwn_time", "What a winding number costs in time", times),
+    ("snet_time", "What placing samples by a network costs, compiled and not", sampling),
     ("learned_time", "Table 18: what learned winding numbers cost in time", learned_time),
     ("toy_methods", "The toy family of Fig. 37", methods),
     ("learned", "Networks beside their base rules, on held-out integrals", learned),

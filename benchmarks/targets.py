@@ -202,8 +202,10 @@ _TIME = (
             ("distilled student", "stratified+inet-gwn-student", 20),
             ("INet, structured base", "stratified+inet-gwn-structured", 150),
             ("INet, uniform base", "stratified+inet-gwn-uniform", 150),
-            ("SNet + INet", "snet-gwn-nqr+inet-gwn-nqr", 1000),
         )
+    ),
+    target(
+        "gwn, SNet + INet", _most(1000), "snet_time", of("times_mc", method="SNet + INet, compiled", resolution=128)
     ),
     *(
         target(f"WoS, {label}", _most(goal), "walks_time", of("times_mc", method=method, **_LARGEST))

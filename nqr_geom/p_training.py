@@ -113,4 +113,11 @@ def p_tokens(samples: Samples) -> Tensor:
     return torch.cat([WALK_TOKENS.compute(samples), *(compress(v, unit).float() for v in (value, known))], dim=-1)
 
 
-P_TOKENS = Extra(WALK_TOKENS.size + 13, p_tokens, WALK_TOKENS.checked, boundary_values, WALK_TOKENS.check)
+P_TOKENS = Extra(
+    WALK_TOKENS.size + 13,
+    p_tokens,
+    WALK_TOKENS.checked,
+    boundary_values,
+    WALK_TOKENS.check,
+    foreign=WALK_TOKENS.foreign,
+)
