@@ -111,7 +111,7 @@ def _torus(m: Packed, v: int, p: wp.vec3d, d: wp.vec3d) -> wp.vec3d:
     slope = wp.float64(2.0) * (apart * outward + height * climb)
     bend = outward * outward + apart * curl + climb * climb
     if bend < wp.float64(0.0):
-        # Two sides of the ring are nearly as near as each other, which ends soon: carried on, a downward bend would be a
+        # Two sides of the ring are nearly as near as each other, which ends soon: a downward bend carried on would be a
         # shape where there is none. The ball around the nearest point of the ring is one that is there.
         bend = wp.float64(1.0)
     return inverse * wp.vec3d(apart * apart + height * height, slope, bend)

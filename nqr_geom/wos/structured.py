@@ -104,6 +104,11 @@ def _sorted(seen, count, total, keys, ordered):  # type: ignore[no-untyped-def]
                 unknown or seen[k, 4] > here[4] or (seen[k, 4] == here[4] and seen[k, 5] > here[5])
             ):
                 here[4], here[5] = seen[k, 4], seen[k, 5]
+            for axis in range(4):  # and of several places that are the same but for rounding
+                if seen[k, axis] != here[axis]:
+                    if seen[k, axis] < here[axis]:
+                        here[:4] = seen[k, :4]
+                    break
             continue
         ordered[kept] = seen[k]
         kept += 1
