@@ -63,7 +63,8 @@ def test_models_are_small_and_their_cards_complete(name: str) -> None:
     path = folder(recipe.problem) / f"{name}.safetensors"
     assert path.stat().st_size < 2_000_000
     card = json.loads(path.with_suffix(".json").read_text())
-    assert card["iterations"] * card["batch"] * card.get("group", 1) > 100_000
+    # A pair begins with a trained integrator, and its sampler with a structured one.
+    assert card["iterations"] * card["batch"] * card.get("group", 1) > (50_000 if "group" in card else 100_000)
     assert card["hours"] > 0.0
     assert card["family"]["splits"] == {"weights": "train", "box": "train", "shares": "validation", "table": "test"}
     assert card["command"]
