@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any
 
@@ -128,6 +128,7 @@ class Law:
         """Median error after n samples."""
         return self._at(self.typical, n)
 
+    @lru_cache(maxsize=1024)  # noqa: B019 - laws are few, and kept anyway
     def high_at(self, n: float) -> float:
         """Error that 95 integrals in 100 stay below after n samples."""
         return self._at(self.high, n)
@@ -136,6 +137,7 @@ class Law:
         """How fast errors fall around n: error ~ n^-order, between 1/4 and 4."""
         return min(max(math.log2(self.high_at(n) / max(self.high_at(2.0 * n), 1e-300)), 0.25), 4.0)
 
+    @lru_cache(maxsize=1024)  # noqa: B019
     def size_for(self, error: float, most: int = 2**22) -> int | None:
         """Fewest samples with a 95% quantile of at most `error`; None if it takes too many."""
         if self.high[0] <= error:
