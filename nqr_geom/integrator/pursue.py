@@ -32,7 +32,7 @@ __all__ = ["pursue"]
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-_MOST = {"samples": 2**20, "replicates": 2**14}  # samples an integral before a way is given up
+_MOST = {"samples": 2**20, "replicates": 2**16}  # samples an integral before a way is given up
 _GROWTH = 16.0  # of one level over the last at most
 _FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like,
 _WORTH = 0.5  # unless it takes more than this part of their time
