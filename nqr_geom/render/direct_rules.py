@@ -150,7 +150,7 @@ def known_light(samples: Samples, rule: str) -> Known:
 def of_same_light(light: Tensor, terms: Tensor) -> Tensor:
     """Sum over all samples of a row that met the same light, (B, N, T, C) -> (B, N, T, C), 0 where they met none."""
     sums = torch.zeros_like(terms)
-    for j in range(int(light.max()) + 1):
+    for j in torch.unique(light[light >= 0.0]):  # the lights of this tile
         of = light == j
         sums = torch.where(of, _total(torch.where(of, terms, 0.0))[:, None, None], sums)
     return sums
