@@ -89,7 +89,6 @@ _PAIRS = (
     ("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),
     ("sd-nqr", "sd", "samples placed by a network for smoothed distances, and the network that weighs them"),
     ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
-    ("toy-nqr", "toy", "samples placed by a network that began as toy-split, and the network on toy-hermite"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
 _DIMS = {"laplace": "12", "direct": "any"}  # of what networks know; else one
@@ -366,7 +365,7 @@ ALIASES: dict[str, str] = {
     "gwn:student": "stratified+inet-gwn-student",
     "gwn:nqr": "snet-gwn-nqr+inet-gwn-nqr",
     "sd:nqr": "snet-sd-nqr+inet-sd-nqr",
-    "toy:nqr": "snet-toy-nqr+inet-toy-nqr",
+    "toy:nqr": "snet-toy-nqr-uniform+inet-toy-nqr-uniform",
     "sd:inet": "stratified+inet-sd-uniform",
     "mc": "random+mc",
     "stratified": "stratified+mc",
