@@ -29,7 +29,7 @@ _MODULES = {  # of packages that are imported by another name
     "scikit-fem": "skfem",
     "warp-lang": "warp",
 }
-_TOOLS = ("all", "docs", "test")  # extras for those who change the library
+_TOOLS = ("all", "bench", "docs", "test")  # extras for those who change the library
 _KERNELS = ("nqr_geom.curves.closest", "nqr_geom.wos.nearest")  # one compiled module a room
 
 
