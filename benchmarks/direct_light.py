@@ -13,19 +13,23 @@ import argparse
 from typing import Any
 
 import numpy as np
+from comparison import trained_sampler
 from learned import write_cards
 from rich.console import Console
 from rich.table import Table
 from shapes import RESULTS, write
 
-from nqr_geom import registry
+from nqr_geom import recipes, registry
 from nqr_geom.integrator.bootstrap import Bootstrap
 from nqr_geom.integrator.estimate import run
+from nqr_geom.integrator.learn.snet import LearnedSampler
+from nqr_geom.integrator.samplers import Sampler
 from nqr_geom.render.direct_problem import DirectProblem
 from nqr_geom.render.film import save_picture
 from nqr_geom.render.scene_gallery import gallery
 
 PASSES = 16
+JOINT = "SNet + INet"
 METHODS = {
     "MC random": ("random", "balance-heuristic"),
     "Poly random": ("random", "direct-regression-1"),
@@ -37,10 +41,21 @@ METHODS = {
     "INet random": ("random", "inet-direct-mis"),
     "INet stratified": ("pmj", "inet-direct-mis"),
 }
+PAIR = trained_sampler("direct")
+UNTRAINED = "known light, untrained SNet"  # where the pair began: stratified rounds
+if PAIR is not None:
+    METHODS |= {UNTRAINED: ("untrained", "direct-known"), "known light, SNet": (PAIR[0], "direct-known"), JOINT: PAIR}
+# What a network is measured against: sampler and rule that it began as.
+BEGAN = {"INet random": "MC random", "INet stratified": "MC stratified", JOINT: UNTRAINED}
 # Means of Table 10, as multiples of random Monte Carlo's error taken from it.
 PAPER = {"MC random": 1.0, "Poly random": 0.34, "MC stratified": 4.1, "Poly stratified": 0.45, "INet random": 9.2,
-         "INet stratified": 16.6}  # fmt: skip
+         "INet stratified": 16.6, JOINT: 30.4}  # fmt: skip
 OUTSIDE = ("teaser", "white-room", "living-room", "staircase", "plates")
+
+
+def untrained() -> Sampler:
+    """The sampling network of the pair before training."""
+    return LearnedSampler(recipes.JOINT["direct-nqr"].snet().eval())
 
 
 def errors(problem: DirectProblem, seeds: int) -> dict[str, Any]:
@@ -51,7 +66,7 @@ def errors(problem: DirectProblem, seeds: int) -> dict[str, Any]:
     truth = run(problem, Pmj(), BalanceHeuristic(), 256, replicates=16, seed=2**30).value
     found: dict[str, Any] = {"truth": truth}
     for name, (sampler, rule) in METHODS.items():
-        pair = registry.make("sampler", sampler), registry.make("rule", rule)
+        pair = untrained() if sampler == "untrained" else registry.make("sampler", sampler), registry.make("rule", rule)
         pictures = np.stack([run(problem, *pair, PASSES, seed=seed).value for seed in range(seeds)])
         found[name] = (pictures - truth) ** 2
         found[name, "picture"] = pictures[0]
@@ -120,13 +135,16 @@ def main() -> None:
     if quick:
         return
     for row in rows:
-        if "INet" in row["method"]:
-            under = inside[f"MC {row['method'].split()[1]}"].mean(axis=(0, 2)).reshape(count, -1).mean(axis=1)
-            each = inside[row["method"]].mean(axis=(0, 2)).reshape(count, -1).mean(axis=1)
+        if row["method"] in BEGAN:
+            under, each = (
+                inside[name].mean(axis=(0, 2)).reshape(count, -1).mean(axis=1)
+                for name in (BEGAN[row["method"]], row["method"])
+            )
             row["gain"] = float(under.mean() / each.mean())
             row["gain_interval"] = list(bootstrap.ratio(under[:, None], each[:, None]) or ())
             design, rule = METHODS[row["method"]]
-            write_cards([row | {"problem": "direct", "design": design, "rule": rule, "base": "balance-heuristic"}])
+            base = recipes.rule_of(rule.removeprefix("inet-")).base
+            write_cards([row | {"problem": "direct", "design": design, "rule": rule, "base": base}])
     print(write("direct_light", rows, scenes=count, resolution=size, seeds=seeds, passes=PASSES))
     strips = []
     for found in outside.values():

@@ -14,18 +14,17 @@ from nqr_geom.curves.tokens import CURVE_TOKENS
 from nqr_geom.curves.tokens_sd import SD_TOKENS
 from nqr_geom.curves.training import gwn_batch
 from nqr_geom.curves.training_sd import sd_batch
-from nqr_geom.integrator.learn.gaps import Gaps
 from nqr_geom.integrator.learn.inet import INetConfig
 from nqr_geom.integrator.learn.joint import JointRecipe
 from nqr_geom.integrator.learn.recipe import Recipe
-from nqr_geom.integrator.learn.snet import LearnedSampler, SNetConfig
-from nqr_geom.integrator.learn.steps import Walks
+from nqr_geom.integrator.learn.snet import LearnedSampler, SNetConfig, View
 from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.p_training import P_TOKENS, p_laplace_batch
+from nqr_geom.render.direct_slabs import SIGHT_TOKENS, LampSlabs, lamp_credit
 from nqr_geom.render.direct_tokens import DIRECT_TOKENS, KNOWN_TOKENS
-from nqr_geom.render.direct_training import direct_batch
+from nqr_geom.render.direct_training import direct_batch, doubtful_batch
 from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
 from nqr_geom.render.training import transmittance_batch
@@ -262,9 +261,7 @@ _CENTRE = (0.001,) * 4 + (0.496,) * 2 + (0.001,) * 4
 _MIDDLE = (0.04,) * 3 + (0.19,) * 4 + (0.04,) * 3
 
 
-def _pair(
-    name: str, begin: str, sampler: SNetConfig, view: type[Gaps] | type[Walks], *sizes: tuple[int, float]
-) -> JointRecipe:
+def _pair(name: str, begin: str, sampler: SNetConfig, view: View, *sizes: tuple[int, float]) -> JointRecipe:
     return JointRecipe(replace(RECIPES[begin], name=name, sizes=sizes), begin, sampler, view)
 
 
@@ -326,6 +323,31 @@ JOINT: dict[str, JointRecipe] = {
             SNetConfig(_VOLUME_SAMPLE, sharpness=8.0, profile=_CENTRE),
             VolumeGaps,
             heads=False,
+        ),
+        JointRecipe(
+            # Where nothing hides a lamp, direct-known is all but exact: pixels are learned from by its error there.
+            replace(
+                RECIPES["direct-structured"],
+                name="direct-nqr",
+                family=doubtful_batch,
+                config=replace(RECIPES["direct-structured"].config, layers=1, width=32),
+                sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
+            ),
+            "direct-structured",
+            SNetConfig(
+                TokenConfig(dim=6, channels=3, frequencies=0, extra=SIGHT_TOKENS.size, blind=True),
+                layers=1,
+                width=32,
+                head="grid",
+                grid=((8, 8, 8), (8, 8, 8)),
+                techniques=2,
+                together=8,
+                floor=0.1,
+            ),
+            LampSlabs,
+            heads=False,
+            reads=SIGHT_TOKENS,
+            credit=lamp_credit,
         ),
     )
 }

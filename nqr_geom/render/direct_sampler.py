@@ -12,11 +12,10 @@ from nqr_geom.integrator.samplers import BELOW_ONE, Pmj, Sampler, scrambled, sob
 from nqr_geom.render.direct_known import known as known_radiance
 from nqr_geom.render.direct_known import spans
 from nqr_geom.render.direct_problem import DirectProblem
+from nqr_geom.render.direct_slabs import lamp_doubt, luminance
 from nqr_geom.streams import Stream
 
 __all__ = ["LampSpread"]
-
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class LampSpread(Sampler):
         x = Pmj().points(problem.rows, n, problem.dim, stream)
         known = known_radiance(problem, x[:, 0, :2], n)
         low, length = spans(problem).unbind(dim=-1)  # (B, L)
-        worth = torch.where(length > 0.0, known @ known.new_tensor(_LUMINANCE), 0.0)
+        worth = torch.where(length > 0.0, luminance(known), 0.0)
         taken = torch.zeros_like(worth)
         seen: list[Observation] = []
         done = 0
@@ -58,7 +57,7 @@ class LampSpread(Sampler):
         for count in (early, n - early):
             if not count:
                 continue
-            doubt = worth if not seen else worth * _doubt(Observation.join(seen), worth.shape[1])
+            doubt = worth if not seen else worth * lamp_doubt(Observation.join(seen), worth.shape[1])
             total = doubt.sum(dim=1, keepdim=True)
             share = torch.where(total > 0.0, (1.0 - self.even) * doubt / total, 0.0)
             share = share + (1.0 - share.sum(dim=1, keepdim=True)) * length
@@ -78,21 +77,10 @@ class LampSpread(Sampler):
         light = look.features["light"][..., 0].long()  # (B, N, T)
         its = density.gather(1, light.clamp_min(0).flatten(1)).view_as(light)
         its = torch.where(light >= 0, its, 1.0)
-        assert look.technique_pdf is not None
-        scale = torch.stack([torch.ones_like(its), its], dim=-1)
         pdf = torch.stack([torch.ones_like(its[..., 0]), its[..., 1]], dim=-1)
-        look = replace(look, technique_pdf=look.technique_pdf * scale)
+        densities = torch.cat([look.features["bsdf_pdf"], look.features["nee_pdf"] * its[..., None]], dim=-1)
+        look = replace(look, technique_pdf=densities)
         return Samples(x.clamp_max(BELOW_ONE), look, torch.where(pdf > 0.0, pdf, 1.0), self.name)
-
-
-def _doubt(seen: Observation, lamps: int) -> Tensor:
-    """Standard deviation of a lamp's visibility, (B, L), by its samples so far and half a sample of either kind."""
-    light, visible = seen.features["light"][..., 0].flatten(1).long(), seen.features["visible"][..., 0].flatten(1)
-    counts = (seen.features["expected"].sum(dim=-1).flatten(1) > 0.0) & (light >= 0)
-    picked = torch.nn.functional.one_hot(light.clamp_min(0), lamps) * counts[..., None]
-    number = picked.sum(dim=1)
-    shown = ((picked * visible[..., None]).sum(dim=1) + 0.5) / (number + 1.0)
-    return (shown * (1.0 - shown)).clamp_min(0.0).sqrt()
 
 
 def _systematic(share: Tensor, count: int, u: Tensor) -> Tensor:

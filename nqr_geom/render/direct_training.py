@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -23,11 +24,12 @@ from nqr_geom.integrator.learn.recipe import Batch
 if TYPE_CHECKING:  # its kernels load Warp, which a recipe can do without
     from nqr_geom.render.direct_problem import DirectProblem
 
-__all__ = ["Pool", "direct_batch", "pool"]
+__all__ = ["Pool", "direct_batch", "doubtful_batch", "pool"]
 
 ROOMS = {"train": 160, "validation": 24, "test": 24}
 RESOLUTION = 16  # pixels along each side, as in the paper
 PASSES, RUNS = 256, 4  # of an answer
+_TRIED, _MOST = 8, 30.0  # runs that tell how doubtful a pixel is, and the largest weight over the mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +57,20 @@ def _answers(problem: DirectProblem, seed: int, split: str) -> np.ndarray:
     from nqr_geom.render.direct_rules import KnownLight
     from nqr_geom.render.direct_sampler import LampSpread
 
+    def answers() -> np.ndarray:
+        return run(problem, LampSpread(), KnownLight(), PASSES, replicates=RUNS, seed=2**31 - 2, split=split).value
+
+    return _kept(problem, f"{split}-{seed}-known-{PASSES}x{RUNS}", answers)
+
+
+def _kept(problem: DirectProblem, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
+    """What `make` gives for a problem, kept on disk."""
     surfaces = hashlib.sha256(problem.surfaces.tobytes()).hexdigest()[:16]
-    path = cache_folder() / "direct" / f"{split}-{seed}-known-{PASSES}x{RUNS}-{surfaces}.npy"
+    path = cache_folder() / "direct" / f"{name}-{surfaces}.npy"
     if path.exists():
         kept: np.ndarray = np.load(path)
         return kept
-    made = run(problem, LampSpread(), KnownLight(), PASSES, replicates=RUNS, seed=2**31 - 2, split=split).value
+    made = make()
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.stem}.{os.getpid()}.npy")
     np.save(aside, made)
@@ -90,3 +100,46 @@ def direct_batch(rows: Tensor, seed: int, split: str) -> Batch:
     problem = replace(everything.problem.take(index), rows=rows.cpu())
     device = rows.device
     return Batch(problem, everything.answer[index].to(device))
+
+
+@lru_cache(maxsize=3)
+def doubts(split: str, seed: int) -> Tensor:
+    """Root mean square error of `direct-known` at 16 stratified passes by some runs, (B,), for every pixel."""
+    from nqr_geom.integrator.estimate import run
+    from nqr_geom.integrator.samplers import Pmj
+    from nqr_geom.render.direct_rules import KnownLight
+
+    everything = pool(split, seed)
+
+    def errors() -> np.ndarray:
+        total = np.zeros(len(everything.answer))
+        for k in range(_TRIED):
+            value = run(everything.problem, Pmj(), KnownLight(), 16, seed=2**31 - 3 - k, split=split).value
+            total += ((value - everything.answer.numpy()) ** 2).mean(axis=1)
+        made: np.ndarray = np.sqrt(total / _TRIED)
+        return made
+
+    return torch.from_numpy(_kept(everything.problem, f"{split}-{seed}-doubt-{_TRIED}", errors))
+
+
+@lru_cache(maxsize=3)
+def _by_doubt(seed: int) -> Tensor:
+    """Where the weight of each training pixel ends, (M,) rising to 1: three quarters go by doubt, the rest evenly."""
+    lit = pool("train", seed).lit
+    doubt = doubts("train", seed)[lit]
+    weight = doubt.clamp_max(_MOST * doubt.mean().clamp_min(1e-300))
+    share = 0.75 * weight / weight.sum().clamp_min(1e-300) + 0.25 / len(lit)
+    ends = share.cumsum(dim=0)
+    return ends / ends[-1]
+
+
+def doubtful_batch(rows: Tensor, seed: int, split: str) -> Batch:
+    """Direct light as of `direct_batch`, in training mostly at pixels where `direct-known` errs at 16 passes."""
+    if split != "train":
+        return direct_batch(rows, seed, split)
+    everything = pool(split, seed)
+    # Multiples of the golden section fill the unit interval evenly.
+    place = torch.remainder((rows.cpu().double() + 0.5) * 0.6180339887498949, 1.0)
+    index = everything.lit[torch.searchsorted(_by_doubt(seed), place).clamp_max(len(everything.lit) - 1)]
+    problem = replace(everything.problem.take(index), rows=rows.cpu())
+    return Batch(problem, everything.answer[index].to(rows.device))

@@ -21,6 +21,7 @@ from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema
 from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.recipes import JOINT
+from nqr_geom.render.direct_problem import DirectProblem
 from nqr_geom.render.training import transmittance_batch
 from nqr_geom.streams import Stream
 from nqr_geom.toy.gaps import ToyGaps
@@ -29,6 +30,7 @@ from nqr_geom.wos.problems import LaplaceProblem
 from nqr_geom.wos.steps import LaplaceWalks
 
 STREAM = Stream(3, "validation")
+ROOM = DirectProblem.family(1, seed=5, split="validation", resolution=18)
 GRID = SNetConfig(JOINT["toy-nqr"].sampler.tokens, head="grid", grid=((16,),))
 STEP = SNetConfig(TokenConfig(dim=12, unit=1.0, frequencies=1), head="step", bins=16)
 NETS = {name: recipe.snet for name, recipe in JOINT.items()} | {
@@ -41,6 +43,8 @@ def problem_of(name: str, n: int) -> Problem:
     rows = torch.arange(n)
     if name in ("walk", "laplace-nqr"):
         return LaplaceProblem.family(1, 5, "validation", points=n)
+    if name == "direct-nqr":
+        return ROOM.take(torch.arange(80, 80 + n) % ROOM.batch)
     if name.startswith("transmittance"):
         return transmittance_batch(rows, 5, "validation").problem
     if name.startswith("sd"):
@@ -82,7 +86,8 @@ def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:
     drawn = rollout.samples.pdf
     assert drawn is not None
     assert torch.isfinite(scored).all()
-    assert_allclose(scored.double().exp(), drawn[..., 0], rtol=2e-4)
+    together = drawn.prod(dim=-1) if net.config.techniques > 1 else drawn[..., 0]
+    assert_allclose(scored.double().exp(), together, rtol=2e-4)
     assert drawn.min() >= 0.999 * net.config.floor**net.config.tokens.dim  # of every coordinate
 
 

@@ -14,31 +14,44 @@ import torch
 from torch import Tensor, nn
 
 from nqr_geom.integrator.learn.gaps import Gaps
+from nqr_geom.integrator.learn.slabs import Slabs
 from nqr_geom.integrator.problem import Observation, Problem
 
 __all__ = ["GapHead", "GridHead", "Head", "floored", "pick"]
 
 _CLOSED = -1e9
 _BELOW_ONE = 1.0 - 2.0**-53
+_KEEN = 4.0  # how much faster than others the few coefficients of what is known of slabs are learned
 
 
 class Head(nn.Module):
-    """Turns a state into a density on the cube, chooses a point by it and scores the choice again."""
+    """Turns a state into a density on the cube, chooses points by it and scores the choice again."""
 
     numbers: int  # uniform numbers a choice takes
-    extra: int  # what `observe` adds to a token
+    extra: int  # what `before` and `observe` add to a token
 
     @abstractmethod
-    def begin(self, problem: Problem, n: int) -> Any:
-        """What the head keeps while n samples are placed."""
+    def begin(self, problem: Problem, n: int, u: Tensor) -> Any:
+        """What the head keeps while n samples are placed; u (B, 2) are uniform numbers of its own."""
 
     @abstractmethod
     def choose(self, kept: Any, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Point (B, D), its density (B,) and a record of the choice, from a state (B, E) and numbers u in (0, 1)."""
+        """A round of k points (B, k, D), their densities (B, k, groups) and a record of the choice.
+
+        It takes a state (B, E) and numbers u (B, k, numbers) in (0, 1).
+        """
+
+    def before(self, kept: Any, state: Tensor) -> Tensor:
+        """What the first token holds, (B, extra), on the device of `state`."""
+        return state.new_zeros(len(state), self.extra)
+
+    def evaluate(self, kept: Any, problem: Problem, x: Tensor) -> Observation:
+        """Observe a round of points."""
+        return problem.evaluate(x)
 
     @abstractmethod
     def observe(self, kept: Any, x: Tensor, seen: Observation, record: dict[str, Tensor]) -> Tensor:
-        """Take note of what was seen at x (B, D); what the next token holds of it, (B, K)."""
+        """Take note of what was seen at x (B, k, D); what the tokens of the round hold of it, (B, extra)."""
 
     @abstractmethod
     def trace(self, kept: Any, records: list[dict[str, Tensor]]) -> dict[str, Tensor]:
@@ -46,7 +59,7 @@ class Head(nn.Module):
 
     @abstractmethod
     def log_density(self, states: Tensor, trace: dict[str, Tensor]) -> Tensor:
-        """Logarithm of the density of every choice, (B, N), given all states (B, N, E)."""
+        """Logarithm of the density of every choice, (B, N, groups), given the states of all rounds (B, rounds, E)."""
 
 
 def pick(probability: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -62,6 +75,9 @@ def pick(probability: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
 class GridHead(Head):
     """Piecewise constant densities on grids over groups of axes, independent of each other; uniform at the start.
 
+    Points are drawn by inversion, one axis of a group after the other, so that evenly spread numbers give evenly spread
+    points. The logarithm of a density is linear in what is known of its slabs, beside what the state says of each cell.
+
     Parameters
     ----------
     width : int
@@ -69,65 +85,104 @@ class GridHead(Head):
     axes : tuple of tuple of int
         Cells along each axis, a tuple for each group that has a joint density.
     floor : float
-        Uniform part of the density.
+        Uniform part of each group's density.
+    together : int
+        Samples of a round.
+    slabs : type of Slabs
+        What is known of them.
     """
 
-    def __init__(self, width: int, axes: tuple[tuple[int, ...], ...], floor: float) -> None:
+    def __init__(
+        self, width: int, axes: tuple[tuple[int, ...], ...], floor: float, together: int, slabs: type[Slabs]
+    ) -> None:
         super().__init__()
-        self.axes, self.floor = axes, floor
+        self.axes, self.floor, self.together, self.slabs = axes, floor, together, slabs
         self.cells = [math.prod(group) for group in axes]
+        self.counts = tuple(group[0] for group in axes)
         self.logits = nn.Linear(width, sum(self.cells))
-        nn.init.zeros_(self.logits.weight)
-        nn.init.zeros_(self.logits.bias)
-        self.numbers = 1 + len(axes) + sum(map(len, axes))
-        self.extra = 0
+        self.query = nn.Linear(width, len(axes) * slabs.size) if slabs.size else None
+        for layer in (self.logits, self.query):
+            if layer is not None:
+                nn.init.zeros_(layer.weight)
+                nn.init.zeros_(layer.bias)
+        self.numbers = sum(map(len, axes))
+        self.extra = slabs.context
 
-    def begin(self, problem: Problem, n: int) -> None:
-        return None
+    def begin(self, problem: Problem, n: int, u: Tensor) -> Slabs:
+        return self.slabs(problem, n, self.counts, u)
 
-    def choose(self, kept: None, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        anywhere = u[:, 0] < self.floor
-        inside = u[:, 1 + len(self.axes) :]
+    def before(self, kept: Slabs, state: Tensor) -> Tensor:
+        return kept.seen()
+
+    def evaluate(self, kept: Slabs, problem: Problem, x: Tensor) -> Observation:
+        return kept.evaluate(x)
+
+    def _logs(self, states: Tensor, ahead: Tensor) -> list[Tensor]:
+        """Logarithm of every group's probabilities without their floor, (B, R, cells), of states (B, R, E)."""
+        parts = list(self.logits(states).float().split(self.cells, dim=-1))
+        if self.query is not None:
+            queries = (_KEEN * self.query(states).float()).unflatten(-1, (len(self.axes), -1)).unbind(dim=2)
+            for group, known in enumerate(ahead.split(self.counts, dim=2)):
+                worth = (known @ queries[group][..., None])[..., 0]  # (B, R, slabs)
+                parts[group] = parts[group] + worth.repeat_interleave(self.cells[group] // self.counts[group], dim=-1)
+        return [part.log_softmax(dim=-1) for part in parts]
+
+    def choose(self, kept: Slabs, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        ahead = kept.ahead()
+        logs = self._logs(state[:, None], ahead[:, None])
         parts, first = [], 0
-        logs = [part.log_softmax(dim=-1) for part in self.logits(state).float().split(self.cells, dim=-1)]
-        for group, axes in enumerate(self.axes):
-            cell, _ = pick(logs[group].exp(), u[:, 1 + group])
-            for axis, size in enumerate(axes):
-                below = math.prod(axes[axis + 1 :])
-                parts.append(((cell // below) % size + inside[:, first]) / size)
-                first += 1
-        x = torch.where(anywhere[:, None], inside, torch.stack(parts, dim=1)).clamp_max(_BELOW_ONE)
+        for axes, log in zip(self.axes, logs, strict=True):
+            table = (1.0 - self.floor) * log[:, 0].detach().double().exp() + self.floor / log.shape[-1]
+            parts.append(_inverted(table, axes, u[..., first : first + len(axes)]))
+            first += len(axes)
+        x = torch.cat(parts, dim=-1).clamp_max(_BELOW_ONE)
         cells = self._cells_of(x)
-        return x, self._density(logs, cells[:, None]).double()[:, 0].exp(), {"cell": cells}
+        return x, self._densities(logs, cells).double().exp(), {"cell": cells, "ahead": ahead}
 
     def _cells_of(self, x: Tensor) -> Tensor:
-        """Cell of every group, (B, groups)."""
+        """Cell of every group that x (B, k, D) lies in, (B, k, groups)."""
         cells, first = [], 0
         for axes in self.axes:
-            cell = torch.zeros(len(x), dtype=torch.int64, device=x.device)
+            cell = torch.zeros(x.shape[:2], dtype=torch.int64, device=x.device)
             for size in axes:
-                cell = cell * size + (x[:, first] * size).long().clamp_max(size - 1)
+                cell = cell * size + (x[..., first] * size).long().clamp_max(size - 1)
                 first += 1
             cells.append(cell)
-        return torch.stack(cells, dim=1)
+        return torch.stack(cells, dim=-1)
 
-    def _density(self, logs: list[Tensor], cells: Tensor) -> Tensor:
-        """Logarithm of the density in cells (B, N, groups), of log probabilities (B, K) or (B, N, K)."""
-        total = torch.zeros(cells.shape[:2], device=cells.device)
-        for group, log in enumerate(logs):
-            table = log if log.ndim == 3 else log[:, None]
-            total = total + table.gather(2, cells[..., group, None])[..., 0] + math.log(self.cells[group])
-        return floored(total, self.floor)
+    def _densities(self, logs: list[Tensor], cells: Tensor) -> Tensor:
+        """Logarithm of the groups' densities in cells (B, N, groups), whose rounds have the tables (B, R, cells)."""
+        rounds = torch.arange(cells.shape[1], device=cells.device) // self.together
+        found = [
+            log[torch.arange(len(log), device=log.device)[:, None], rounds, cells[..., group]]
+            for group, log in enumerate(logs)
+        ]
+        sizes = torch.tensor(self.cells, device=cells.device).log()
+        return floored(torch.stack(found, dim=-1) + sizes, self.floor)
 
-    def observe(self, kept: None, x: Tensor, seen: Observation, record: dict[str, Tensor]) -> Tensor:
-        return x.new_zeros(len(x), 0).float()
+    def observe(self, kept: Slabs, x: Tensor, seen: Observation, record: dict[str, Tensor]) -> Tensor:
+        kept.note(seen)
+        return kept.seen()
 
-    def trace(self, kept: None, records: list[dict[str, Tensor]]) -> dict[str, Tensor]:
-        return {"cell": torch.stack([record["cell"] for record in records], dim=1)}
+    def trace(self, kept: Slabs, records: list[dict[str, Tensor]]) -> dict[str, Tensor]:
+        cells = torch.cat([record["cell"] for record in records], dim=1)
+        return {"cell": cells, "ahead": torch.stack([record["ahead"] for record in records], dim=1)}
 
     def log_density(self, states: Tensor, trace: dict[str, Tensor]) -> Tensor:
-        logits = self.logits(states).float().split(self.cells, dim=-1)
-        return self._density([part.log_softmax(dim=-1) for part in logits], trace["cell"])
+        return self._densities(self._logs(states, trace["ahead"]), trace["cell"])
+
+
+def _inverted(table: Tensor, axes: tuple[int, ...], u: Tensor) -> Tensor:
+    """Points (B, k, d) of the piecewise constant density with cell probabilities (B, cells), from as many numbers u."""
+    left = table[:, None].expand(*u.shape[:2], -1)  # probabilities of what the axes so far have left open
+    parts = []
+    for axis, size in enumerate(axes):
+        left = left.unflatten(-1, (size, -1))
+        index, rest = pick(left.sum(dim=-1).flatten(0, 1), u[..., axis].flatten())
+        index, rest = index.view(u.shape[:2]), rest.view(u.shape[:2])
+        parts.append((index + rest) / size)
+        left = left.gather(2, index[..., None, None].expand(-1, -1, 1, left.shape[-1]))[:, :, 0]
+    return torch.stack(parts, dim=-1)
 
 
 def floored(log_density: Tensor, floor: float) -> Tensor:
@@ -180,7 +235,7 @@ class GapHead(Head):
         self.numbers = 3
         self.extra = 2 * gaps.size
 
-    def begin(self, problem: Problem, n: int) -> _Kept:
+    def begin(self, problem: Problem, n: int, u: Tensor) -> _Kept:
         gaps = self.gaps(problem, n)
         room = gaps.features.new_zeros(*gaps.open.shape, self.query.out_features)
         return _Kept(gaps, room, torch.zeros_like(gaps.features[..., 0]))
@@ -205,7 +260,7 @@ class GapHead(Head):
         return (self.profile + logits).log_softmax(dim=-1)
 
     def choose(self, kept: _Kept, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        gaps, at = kept.gaps, torch.arange(len(state), device=state.device)
+        gaps, at, u = kept.gaps, torch.arange(len(state), device=state.device), u[:, 0]
         fresh = slice(kept.keyed, gaps.used)
         new = gaps.features[:, fresh]
         made = self._keys(new, state[:, None].expand(*new.shape[:2], -1))
@@ -232,10 +287,10 @@ class GapHead(Head):
         scale = math.log(count) - width.log()
         inside = log_gap.gather(1, slot[:, None])[:, 0] + log_bin.gather(1, bin_[:, None])[:, 0]
         density = floored(inside.double() + scale, self.floor).exp()
-        return x[:, None], density, {"slot": slot, "bin": bin_, "scale": scale, "base": base}
+        return x[:, None, None], density[:, None, None], {"slot": slot, "bin": bin_, "scale": scale, "base": base}
 
     def observe(self, kept: _Kept, x: Tensor, seen: Observation, record: dict[str, Tensor]) -> Tensor:
-        return kept.gaps.cut(record["slot"], x[:, 0], seen)
+        return kept.gaps.cut(record["slot"], x[:, 0, 0], seen)
 
     def trace(self, kept: _Kept, records: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         trace = {name: torch.stack([record[name] for record in records], dim=1) for name in records[0]}
@@ -256,4 +311,4 @@ class GapHead(Head):
         log_gap = (trace["base"] + logits).log_softmax(dim=-1).gather(2, slot[..., None])[..., 0]
         chosen = keys.gather(1, slot[..., None].expand(-1, -1, keys.shape[-1]))
         log_bin = self._bins(chosen, states).gather(2, trace["bin"][..., None])[..., 0]
-        return floored(log_gap + log_bin + trace["scale"].float(), self.floor)
+        return floored(log_gap + log_bin + trace["scale"].float(), self.floor)[..., None]

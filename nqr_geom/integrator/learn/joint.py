@@ -8,6 +8,7 @@ Neither the integrand nor the choice of a sample is differentiated.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,12 @@ import torch
 from torch import Tensor
 
 from nqr_geom import check, registry
-from nqr_geom.integrator.learn.gaps import Gaps
 from nqr_geom.integrator.learn.inet import INet, LearnedRule
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe
 from nqr_geom.integrator.learn.run import RunFolder
-from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetConfig
-from nqr_geom.integrator.learn.steps import Walks
-from nqr_geom.integrator.learn.tokens import sort_samples
+from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetConfig, View
+from nqr_geom.integrator.learn.tokens import Extra, sort_samples
 from nqr_geom.integrator.learn.train import (
     TrainConfig,
     draw_batch,
@@ -34,6 +33,7 @@ from nqr_geom.integrator.learn.train import (
     residuals,
     robust,
 )
+from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Rule
 from nqr_geom.streams import Stream
 
@@ -54,18 +54,25 @@ class JointRecipe:
         Recipe whose trained network the integrator begins with.
     sampler : SNetConfig
         The sampling network.
-    view : type of Gaps or of Walks, optional
+    view : type of Gaps, of Walks or of Slabs, optional
         What its head chooses among or sees.
     heads : bool
         Whether it begins with that network's heads, too: the two recipes then differ in name and sizes only. Without
         them the integrator begins as its own base rule.
+    reads : Extra, optional
+        The application's own quantities that the sampler reads, if they are others than the integrator's.
+    credit : callable, optional
+        (samples of B G rows, G) to how much denser each should have been, (B G, N, groups), where the application can
+        tell: what the sampler learns from in place of how well whole sequences did.
     """
 
     rule: Recipe
     begin: str
     sampler: SNetConfig
-    view: type[Gaps] | type[Walks] | None = None
+    view: View | None = None
     heads: bool = True
+    reads: Extra | None = None
+    credit: Callable[[Samples, int], Tensor] | None = None
 
     @property
     def name(self) -> str:
@@ -74,7 +81,8 @@ class JointRecipe:
 
     def snet(self) -> SNet:
         """A fresh sampling network: its base sampler."""
-        return SNet(self.sampler, self.view, self.rule.extra if self.sampler.tokens.extra else None)
+        extra = (self.reads or self.rule.extra) if self.sampler.tokens.extra else None
+        return SNet(self.sampler, self.view, extra)
 
 
 @dataclass(frozen=True)
@@ -126,7 +134,8 @@ def roll_out(recipe: JointRecipe, net: SNet, rows: Tensor, n: int, config: Joint
     keys = rows[index] * config.group + member
     repeated = Batch(batch.problem.take(index), batch.answer[index])
     with torch.no_grad():
-        return repeated, net.sample(repeated.problem, n, Stream(config.seed, "train", "rollouts"), keys)
+        # Independent numbers: the likelihood of evenly spread ones is not the product of their densities.
+        return repeated, net.sample(repeated.problem, n, Stream(config.seed, "train", "rollouts"), keys, even=False)
 
 
 @torch.no_grad()
@@ -204,9 +213,12 @@ def train_jointly(
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)
         if expected is not None:  # what is expected of the samples says the same with less noise, if it is right
             outcome = 0.5 * (outcome + expected[:, 0])
-        gain = advantages(outcome.view(len(rows), config.group)).flatten()
-        likelihood = sampler.model(rollout).mean(dim=1)
-        sampler.step(-(gain * likelihood).mean(), rate * config.sampler_rate / config.rate, iteration)
+        likelihood = sampler.model(rollout)
+        if recipe.credit is None:
+            gain = advantages(outcome.view(len(rows), config.group)).flatten() * likelihood.sum(dim=-1).mean(dim=1)
+        else:
+            gain = (recipe.credit(rollout.samples, config.group).float() * likelihood).sum(dim=-1).mean(dim=1)
+        sampler.step(-gain.mean(), rate * config.sampler_rate / config.rate, iteration)
         return value
 
     def measure() -> tuple[float, float]:

@@ -20,13 +20,16 @@ from nqr_geom import check
 from nqr_geom.integrator.learn.gaps import Gaps
 from nqr_geom.integrator.learn.heads import GapHead, GridHead, Head
 from nqr_geom.integrator.learn.inet import Block
+from nqr_geom.integrator.learn.slabs import Slabs
 from nqr_geom.integrator.learn.steps import StepHead, Walks
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, tokenize
 from nqr_geom.integrator.problem import Observation, Problem, Samples
-from nqr_geom.integrator.samplers import Sampler, Stratified
+from nqr_geom.integrator.samplers import BELOW_ONE, Pmj, Sampler, Stratified
 from nqr_geom.streams import Stream
 
-__all__ = ["LearnedSampler", "Rollout", "SNet", "SNetConfig"]
+__all__ = ["LearnedSampler", "Rollout", "SNet", "SNetConfig", "View"]
+
+View = type[Gaps] | type[Walks] | type[Slabs]
 
 TILE_ROWS = 256  # float32 products change with the batch size, so the network always sees this many rows
 _COUNTS = 3  # is there a sample yet, i / n, log n
@@ -51,6 +54,11 @@ class SNetConfig:
         Base of the gap head: probabilities of equal bins within a gap.
     grid : tuple of tuple of int
         Cells of the grid head: one tuple for each group of axes that has a joint density; groups are independent.
+    techniques : int
+        Techniques of the problem. Of several, each depends on the axes of one group alone (they are in the same order),
+        and its samples have that group's density.
+    together : int
+        Samples that the grid head places in one round, by one density: their numbers are spread evenly.
     bins : int
         Bins of a direction's density for the step head.
     floor : float
@@ -66,6 +74,8 @@ class SNetConfig:
     sharpness: float = 0.0
     profile: tuple[float, ...] = (0.1,) * 10
     grid: tuple[tuple[int, ...], ...] = ()
+    techniques: int = 1
+    together: int = 1
     bins: int = 32
     floor: float = 0.02
 
@@ -75,6 +85,11 @@ class SNetConfig:
             raise ValueError(f"head: 'gap' needs one dimension, got {self.tokens.dim}")
         if self.head == "grid" and sum(map(len, self.grid)) != self.tokens.dim:
             raise ValueError(f"grid: expected {self.tokens.dim} axes in all, got {self.grid}")
+        if self.techniques > 1 and self.techniques != len(self.grid):
+            raise ValueError(f"grid: expected a group for each of {self.techniques} techniques, got {len(self.grid)}")
+        check.integer("together", self.together, low=1)
+        if self.together > 1 and self.head != "grid":
+            raise ValueError(f"together: expected 1 of the head {self.head!r}, got {self.together}")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a model card; `from_dict` is its inverse."""
@@ -160,9 +175,12 @@ class Trunk(nn.Module):
         return state
 
 
-def _head(config: SNetConfig, view: type[Gaps] | type[Walks] | None) -> Head:
+def _head(config: SNetConfig, view: View | None) -> Head:
     if config.head == "grid":
-        return GridHead(config.width, config.grid, config.floor)
+        view = Slabs if view is None else view
+        if not issubclass(view, Slabs):
+            raise ValueError(f"view: the head 'grid' needs a type of Slabs, got {view}")
+        return GridHead(config.width, config.grid, config.floor, config.together, view)
     wanted = Gaps if config.head == "gap" else Walks
     if view is None or not issubclass(view, wanted):
         raise ValueError(f"view: the head {config.head!r} needs a type of {wanted.__name__}, got {view}")
@@ -178,8 +196,8 @@ class SNet(nn.Module):
     ----------
     config : SNetConfig
         Architecture.
-    view : type of Gaps or of Walks, optional
-        What the gap head chooses among, or what the step head sees.
+    view : type of Gaps, of Walks or of Slabs, optional
+        What the gap head chooses among, what the step head sees, or what is known of a grid's slabs.
     extra : Extra, optional
         The application's own quantities, if `config.tokens` counts some.
 
@@ -189,22 +207,24 @@ class SNet(nn.Module):
         If the head has no view.
     """
 
-    def __init__(
-        self, config: SNetConfig, view: type[Gaps] | type[Walks] | None = None, extra: Extra | None = None
-    ) -> None:
+    def __init__(self, config: SNetConfig, view: View | None = None, extra: Extra | None = None) -> None:
         super().__init__()
         self.config, self.extra = config, extra
         self.head = _head(config, view)
-        self.trunk = Trunk(config.tokens.width + self.head.extra + _COUNTS, config)
+        self.trunk = Trunk(config.techniques * config.tokens.width + self.head.extra + _COUNTS, config)
 
     def forward(self, rollout: Rollout) -> Tensor:
-        """Logarithm of the density of every sample given those before it, (B, N) float32."""
-        return self.head.log_density(self.trunk(rollout.tokens), rollout.trace)
+        """Logarithm of the density of every sample given the rounds before it, (B, N, groups) float32."""
+        return self.head.log_density(self.trunk(rollout.tokens)[:, :: self.config.together], rollout.trace)
 
-    log_prob = forward
+    def log_prob(self, rollout: Rollout) -> Tensor:
+        """`forward` of all groups together, (B, N)."""
+        return self(rollout).sum(dim=-1)
 
-    def sample(self, problem: Problem, n: int, stream: Stream, keys: Tensor | None = None) -> Rollout:
-        """Place n samples of every integral, one after the other.
+    def sample(
+        self, problem: Problem, n: int, stream: Stream, keys: Tensor | None = None, *, even: bool = True
+    ) -> Rollout:
+        """Place n samples of every integral, round after round.
 
         Parameters
         ----------
@@ -216,30 +236,50 @@ class SNet(nn.Module):
             Of the random numbers.
         keys : Tensor, (B,), int64, optional
             What keys each row's numbers, `problem.rows` if not given: rows that repeat an integral need their own.
+        even : bool
+            Spread the numbers of a round evenly. Only without that does `forward` give the likelihood of all of them
+            together; the density of each is right either way.
         """
         keys = problem.rows if keys is None else keys
         axis = torch.arange(self.head.numbers, device=keys.device)
-        cache, kept = self.trunk.cache(problem.batch, n), self.head.begin(problem, n)
+        u = stream.child("begin").uniform(keys[:, None], torch.arange(2, device=keys.device))
+        cache, kept = self.trunk.cache(problem.batch, n), self.head.begin(problem, n, u)
         token = torch.zeros(problem.batch, self.trunk.embed_in.in_features, device=keys.device)
-        points, densities, looks, tokens, records = [], [], [], [], []
-        for i in range(n):
-            token[:, -_COUNTS:] = token.new_tensor([float(i > 0), i / n, math.log(n / 32.0)])
-            tokens.append(token)
-            state = self.trunk.one(token, cache, i)
-            u = stream.uniform(keys[:, None], torch.tensor(i, device=keys.device), axis)
+        token[:, -_COUNTS - self.head.extra : -_COUNTS] = self.head.before(kept, token)
+        points, densities, looks, records = [], [], [], []
+        tokens: list[Tensor] = []
+        for first in range(0, n, self.config.together):
+            count = min(self.config.together, n - first)
+            state = self._read(token, cache, tokens, n)
+            if even and count > 1:
+                u = Pmj().points(keys, count, len(axis), stream.child(f"round {first}")).clamp_max(BELOW_ONE)
+            else:
+                index = torch.arange(first, first + count, device=keys.device)[:, None]
+                u = stream.uniform(keys[:, None, None], index, axis)
             x, density, record = self.head.choose(kept, state, u)
-            look = problem.evaluate(x[:, None])
+            density = density if self.config.techniques > 1 else density.prod(dim=-1, keepdim=True)
+            density = density.expand(-1, -1, problem.techniques)
+            look = self.head.evaluate(kept, problem, x)
             points.append(x)
             densities.append(density)
             looks.append(look)
             records.append(record)
             beside = self.head.observe(kept, x, look, record)
-            one = Samples(x[:, None], look, None, "snet")
-            own = tokenize(one, self.config.tokens, self.extra).mean(dim=2)[:, 0]
-            token = torch.cat([own, beside, own.new_empty(len(own), _COUNTS)], dim=1)
-        pdf = torch.stack(densities, dim=1)[..., None].expand(-1, -1, problem.techniques)
-        samples = Samples(torch.stack(points, dim=1), Observation.join(looks), pdf, "snet")
+            own = tokenize(Samples(x, look, density, "snet"), self.config.tokens, self.extra)  # (B, k, T, width)
+            own = own.flatten(2) if self.config.techniques > 1 else own.mean(dim=2)
+            for i in range(count):
+                token = torch.cat([own[:, i], beside, own.new_empty(len(own), _COUNTS)], dim=1)
+                if i < count - 1:
+                    self._read(token, cache, tokens, n)
+        samples = Samples(torch.cat(points, dim=1), Observation.join(looks), torch.cat(densities, dim=1), "snet")
         return Rollout(samples, torch.stack(tokens, dim=1), self.head.trace(kept, records))
+
+    def _read(self, token: Tensor, cache: list[Tensor], tokens: list[Tensor], n: int) -> Tensor:
+        """The state after one more token, which is told its place and kept."""
+        at = len(tokens)
+        token[:, -_COUNTS:] = token.new_tensor([float(at > 0), at / n, math.log(n / 32.0)])
+        tokens.append(token)
+        return self.trunk.one(token, cache, at)
 
 
 @dataclass(frozen=True)

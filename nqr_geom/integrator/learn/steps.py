@@ -110,7 +110,7 @@ class StepHead(Head):
         self.numbers = 2 * dim
         self.extra = 0
 
-    def begin(self, problem: Problem, n: int) -> Walks:
+    def begin(self, problem: Problem, n: int, u: Tensor) -> Walks:
         if not isinstance(problem, WalkProblem):
             raise ValueError(f"problem: expected one of walks, got {problem.name!r}")
         return self.walks(problem, n, self.bins)
@@ -126,7 +126,7 @@ class StepHead(Head):
         return torch.where(open_, floored(inside, self.floor), 0.0)
 
     def choose(self, kept: Walks, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        hidden = torch.tanh(self.begin_unit(state))
+        hidden, u = torch.tanh(self.begin_unit(state)), u[:, 0]
         walk = kept.problem.start(1)
         x, total = [], torch.zeros_like(u[:, 0])
         record: dict[str, list[Tensor]] = {"seen": [], "ahead": [], "bin": [], "open": []}
@@ -144,7 +144,8 @@ class StepHead(Head):
             walk = kept.step(walk, x[-1][:, None])
             for name, value in (("seen", seen), ("ahead", ahead), ("bin", bin_), ("open", open_)):
                 record[name].append(value)
-        return torch.stack(x, dim=1), total.exp(), {name: torch.stack(part, dim=1) for name, part in record.items()}
+        made = {name: torch.stack(part, dim=1) for name, part in record.items()}
+        return torch.stack(x, dim=1)[:, None], total.exp()[:, None, None], made
 
     def observe(self, kept: Walks, x: Tensor, seen: Observation, record: dict[str, Tensor]) -> Tensor:
         kept.note(record["bin"], seen)
@@ -161,4 +162,4 @@ class StepHead(Head):
         for j in range(self.dim):
             hidden = self.unit(seen[:, j], hidden)
             total = total + self._density(self._log(hidden, ahead[:, j]), bin_[:, j], open_[:, j])
-        return total.view(batch, n)
+        return total.view(batch, n, 1)
