@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from nqr_geom.curves.gaps import CurveGaps
 from nqr_geom.curves.shapes import PackedShapes
 from nqr_geom.integrator.learn.heads import GapHead
-from nqr_geom.integrator.learn.snet import SNet
+from nqr_geom.integrator.learn.snet import CausalBlock, SNet
 from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.streams import Stream
@@ -35,9 +35,8 @@ def _array(tensor: Tensor, *axes: int) -> NDArray[np.float32]:
     return np.ascontiguousarray(np.pad(array, more))
 
 
-def _both(layer: object) -> Tensor:
+def _both(layer: nn.LayerNorm) -> Tensor:
     """Scale and shift of a norm, (2, E)."""
-    assert isinstance(layer, nn.LayerNorm)
     return torch.stack([layer.weight, layer.bias])
 
 
@@ -45,8 +44,9 @@ def weights_of(net: SNet) -> Weights:
     """The network as arrays."""
     from nqr_geom.curves.compiled_snet import Weights
 
-    trunk, head, blocks = net.trunk, net.head, list(net.trunk.blocks)
-    assert isinstance(head, GapHead)
+    trunk, head, blocks = net.trunk, net.head, [cast(CausalBlock, block) for block in net.trunk.blocks]
+    if not isinstance(head, GapHead):
+        raise ValueError(f"net: expected one with the head 'gap', got {net.config.head!r}")
     many: dict[str, NDArray[np.float32]] = {}
     for name in ("qkv", "out", "up", "down"):
         many[name] = _array(torch.stack([getattr(block, name).weight for block in blocks]))
