@@ -6,7 +6,7 @@ Times are processor seconds on one thread, which a busy machine does not stretch
 numbers of integrals and samples, and a few named terms are fitted to them. Errors are measured on the random families,
 split "validation", which no test and no training meets: median and 95% quantile of the absolute error over queries, in
 the units of `Goal.scale`. "factor" is what a bound that a run states of itself has to be multiplied with so that 97 in
-100 hold. With --errors times stay as they were measured before.
+100 hold, "bound" the 95% quantile of what comes out. With --errors times stay as they were measured before.
 """
 
 from __future__ import annotations
@@ -60,11 +60,12 @@ def level(way: Way, rows: Any, n: int, k: int) -> tuple[np.ndarray, np.ndarray]:
     return _joined(parts).value, bound_of_values(np.stack([part.value for part in parts]))
 
 
-def errors_of(case: problems.Case, way: Way, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Errors in units of the scale, and errors over bounds; where the truth knows no better the bound is right."""
+def errors_of(case: problems.Case, way: Way, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors and bounds in units of the scale, and their ratio; where the truth knows no better the bound is right."""
     value, bound = level(way, np.arange(len(case.truth)), n, 0)
     error = np.abs(value - case.truth).max(axis=1)
-    return error / case.scale, np.where(error <= case.floor, 0.0, error / np.maximum(bound, 1e-300))
+    ratio = np.where(error <= case.floor, 0.0, error / np.maximum(bound, 1e-300))
+    return error / case.scale, bound / case.scale, ratio
 
 
 def rounded(value: float, least: float) -> float:
@@ -83,15 +84,18 @@ def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Seque
     pieces = cases[0].size if name.partition("-")[0] in ("gwn", "sd") else 0.0  # where samples count by the piece
     per = [case.size / pieces if pieces else 1.0 for case in cases]
     ways = [case.way(method) for case in cases]
-    own = [n for n in sizes if all(n * p >= way.least for p, way in zip(per, ways, strict=True))]
-    told: dict[str, list[float]] = {"typical": [], "high": [], "factor": []}
+    # Where there are fewer pieces than usual the fewest samples are more a piece.
+    own = [n for n in sizes if all(max(n, n * p) >= way.least for p, way in zip(per, ways, strict=True))]
+    told: dict[str, list[float]] = {"typical": [], "high": [], "factor": [], "bound": []}
     for n in own:
-        parts = [errors_of(case, way, round(n * p)) for case, way, p in zip(cases, ways, per, strict=True)]
-        error, ratio = (np.concatenate(part) for part in zip(*parts, strict=True))
+        parts = [errors_of(case, way, max(way.least, round(n * p)))
+                 for case, way, p in zip(cases, ways, per, strict=True)]  # fmt: skip
+        error, bound, ratio = (np.concatenate(part) for part in zip(*parts, strict=True))
         told["typical"].append(rounded(float(np.median(error)), 1e-15))
         told["high"].append(rounded(float(np.quantile(error, 0.95)), 1e-15))
         told["factor"].append(rounded(min(float(np.quantile(ratio, COVERED)), MOST), LEAST))
-    told["typical"], told["high"] = monotone(told["typical"]), monotone(told["high"])
+        told["bound"].append(rounded(told["factor"][-1] * float(np.quantile(bound, 0.95)), 1e-15))
+    told |= {key: monotone(told[key]) for key in ("typical", "high", "bound")}
     if before is not None:
         print(f"{name}:{method}: {told}")
         return {**before, "sizes": own, **told}
@@ -101,6 +105,8 @@ def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Seque
             for n in times["n"]:
                 if n >= timed.least:
                     spent.append((rows, n, case.size, shortest(lambda w=timed, i=index, m=n: w.draw(i, m, 0))))
+    if len({n for _, n, *_ in spent}) < 2:  # what a sample costs would be anyone's guess
+        raise ValueError(f"n: expected two sizes of {ways[0].least} or more to time {name}:{method}, got {times['n']}")
     cost = Cost.fit(times["terms"], spent)
     off = max(abs(np.log(cost.seconds(*row[:3]) / row[3])) for row in spent)
     print(f"{name}:{method}: cost {dict(cost.terms)}, worst off by {np.exp(off):.2f}; {told}")

@@ -6,19 +6,23 @@ from page import Row, markdown, short
 
 
 def learned_time(rows: list[Row]) -> str:
-    """Table 18's layout, the same time against errors, and costs of a query at which networks begin to win."""
-    timed = [row for row in rows if row["kind"] == "time"]
-    sizes = sorted({row["resolution"] for row in timed})
+    """Table 18's layout."""
+    sizes = sorted({row["resolution"] for row in rows})
     lines = []
-    for n in sorted({row["n"] for row in timed}, reverse=True):
-        for method in dict.fromkeys(row["method"] for row in timed):
-            of = {row["resolution"]: row for row in timed if row["method"] == method and row["n"] == n}
+    for n in sorted({row["n"] for row in rows}, reverse=True):
+        for method in dict.fromkeys(row["method"] for row in rows):
+            of = {row["resolution"]: row for row in rows if row["method"] == method and row["n"] == n}
             last = of[sizes[-1]]
             told = (f"{short(of[size]['times_mc'])} ({short(of[size]['processor_times_mc'])})" for size in sizes)
             lines.append([f"{method}, {n}", *told, short(last["us_per_integral"]), short(last["ns_per_sample"])])
     squares = [f"{size} x {size}" for size in sizes]
     head = ["method, samples: times Monte Carlo, wall (processor)", *squares, "us an integral", "ns a sample"]
-    return markdown(head, lines) + _equal(rows) + _break_even(rows)
+    return markdown(head, lines)
+
+
+def equal_time(rows: list[Row]) -> str:
+    """Who is best in equal time, and the cost of a query from which a rule wins."""
+    return "![error against time](equal-time.png)\n" + _equal(rows) + _break_even(rows)
 
 
 def _equal(rows: list[Row]) -> str:
@@ -28,31 +32,47 @@ def _equal(rows: list[Row]) -> str:
         return ["", ""] if point is None else [f"{point['method']}, {point['n']}", short(point["mse"])]
 
     lines = [
-        [f"{row['n']}", short(row["us"]), *best(row["classical"]), *best(row["other"])]
+        [
+            f"{row['application']}, {row['n']}",
+            short(row["us"]),
+            *best(row["classical"]),
+            *best(row["other"]),
+            short(row["ratio"]) if row["other"] else "nothing fits",
+        ]
         for row in rows
         if row["kind"] == "equal time"
     ]
-    head = ["time of so many Monte Carlo samples", "us", "best classical rule", "MSE", "best other", "MSE"]
-    return "\nThe best within equal processor time, on held-out shapes:\n\n" + markdown(head, lines)
+    head = [
+        "time of so many Monte Carlo samples",
+        "us",
+        "best classical rule",
+        "MSE",
+        "best other",
+        "MSE",
+        "times better",
+    ]
+    return "\nThe best within equal processor time, on held-out integrals:\n\n" + markdown(head, lines)
 
 
 def _break_even(rows: list[Row]) -> str:
     """Costs c* of a query."""
     lines = [
         [
-            f"{row['method']}, {row['n']}",
+            f"{row['application']}: {row['method']}, {row['n']}",
             short(row["mse"]),
             short(row["overhead_us"]),
             short(row["classical_samples"]) if row["classical_samples"] else f"more than {row['most_samples']}",
-            ("" if row["classical_samples"] else "at most ") + short(1000.0 * row["cost_us"]),
+            "never"
+            if row["cost_us"] is None
+            else ("" if row["classical_samples"] else "at most ") + short(1000.0 * row["cost_us"]),
+            short(1000.0 * row["query_us"]),
         ]
         for row in rows
         if row["kind"] == "break-even"
     ]
-    head = ["method, samples", "MSE", "us beyond its queries", "classical samples for it", "break-even ns a query"]
-    query = next((1000.0 * row["query_us"] for row in rows if row["kind"] == "break-even"), 0.0)
-    told = f"\nFrom which cost of a query on each wins at equal time (here one costs {short(query)} ns):\n\n"
-    return told + markdown(head, lines)
+    head = ["method, samples", "MSE", "us beyond its queries", "classical samples for it", "break-even ns a query",
+            "ns a query here"]  # fmt: skip
+    return "\nFrom which cost of a query on each wins at equal time:\n\n" + markdown(head, lines)
 
 
 def sampling(rows: list[Row]) -> str:

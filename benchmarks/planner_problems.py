@@ -227,8 +227,8 @@ def cases(name: str, split: str) -> list[Case]:
 
 _SAMPLED = ["1", "n", "rows", "rows*n"]
 _SORTED = [*_SAMPLED, "rows*n*n"]
-_PLAIN_TIMES: dict[str, Any] = {"cases": 1, "rows": (20, 1000), "n": (16, 128), "terms": _SAMPLED}
-_BOX_TIMES: dict[str, Any] = {"cases": 1, "rows": (20, 500), "n": (16, 128), "terms": _SAMPLED}
+_PLAIN_TIMES: dict[str, Any] = {"cases": 1, "rows": (20, 1000), "n": (32, 256), "terms": _SAMPLED}
+_BOX_TIMES: dict[str, Any] = {"cases": 1, "rows": (20, 500), "n": (32, 256), "terms": _SAMPLED}
 _LONG = (16, 64, 256, 1024)
 _SHORT = (12, 16, 24, 32, 48, 64, 128, 256)
 

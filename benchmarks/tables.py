@@ -19,7 +19,7 @@ import layouts_plans
 import layouts_render
 import layouts_sd
 import targets
-from layouts_time import learned_time, sampling
+from layouts_time import equal_time, learned_time, sampling
 from page import Row, interval, markdown, short, span
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -221,6 +221,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("gwn_time", "What a winding number costs in time", times),
     ("snet_time", "What placing samples by a network costs, compiled and not", sampling),
     ("learned_time", "Table 18: what learned winding numbers cost in time", learned_time),
+    ("equal_time", "Equal time: classical rules against structured and learned ones", equal_time),
     ("toy_methods", "The toy family of Fig. 37", methods),
     ("learned", "Networks beside their base rules, on held-out integrals", learned),
     ("toy_tables", "Tables 1, 2, 7 and 9: the toy family, 32 samples", layouts.toy_tables),

@@ -228,6 +228,12 @@ _TIME = (
     ),
 )
 
+_IN_TIME = tuple(
+    target(f"{name}: its squared error over the best other's within the time of 4, 8 .. 256 samples", _least(goal),
+           "equal_time", of("ratio", application=name, kind="equal time"))
+    for name, goal in (("toy", 10), ("gwn", 10), ("sd", 10), ("laplace", 1), ("transmittance", 1), ("direct", 1))
+)  # fmt: skip
+
 _EXACT = (
     target("winding numbers of 10,000 segments, times faster than libigl: star, spiral, zigzag", _least(100),
            "exact_gwn", of("ratio", case=lambda case: case.endswith("10,000 segments"))),
@@ -262,6 +268,7 @@ _PLANS = (
 TARGETS: dict[str, tuple[Target, ...]] = {
     "Squared error of Monte Carlo over the method's at equal samples, held-out problems": _EQUAL_SAMPLES,
     "Time over Monte Carlo's, 128 x 128, 32 samples where nothing else is said": _TIME,
+    "In equal processor time, against the best classical rule": _IN_TIME,
     "Exact answers and speed": _EXACT,
     "Plans by tolerance": _PLANS,
 }
@@ -288,4 +295,4 @@ def page(rows_of: Callable[[str], list[Row] | None]) -> str:
 
 def _few(values: list[float]) -> list[float]:
     """The values, or the ends of a long list."""
-    return values if len(values) <= 6 else [min(values), max(values)]
+    return values if len(values) <= 7 else [min(values), max(values)]

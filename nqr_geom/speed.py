@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Callable
 from functools import cache
@@ -22,7 +23,7 @@ __all__ = ["KINDS", "fingerprint", "measured", "speed"]
 
 KINDS = ("calls", "numbers", "matrices")
 
-_REPEATS = 5
+_REPEATS = 10
 _LEAST = 1e-7  # seconds; no loop here takes less
 
 
@@ -39,8 +40,8 @@ def _numbers() -> None:
 
 
 def _matrices() -> None:
-    square = np.full((240, 240), 0.5)
-    for _ in range(4):
+    square = np.full((60, 60), 0.5)  # so small that it stays on one core, whatever else runs
+    for _ in range(256):
         square = square @ square * 1e-3
 
 
@@ -48,21 +49,19 @@ _LOOPS: tuple[Callable[[], None], ...] = (_calls, _numbers, _matrices)
 
 
 def measured() -> dict[str, float]:
-    """Seconds that each of the loops takes now: the shortest of five, which is the one least disturbed.
+    """Seconds that each of the loops takes now: the shortest of a few, taken in turns, is the one least disturbed.
 
     Examples
     --------
     >>> sorted(measured()) == sorted(KINDS)
     True
     """
-    found = {}
-    for kind, loop in zip(KINDS, _LOOPS, strict=True):
-        spent = []
-        for _ in range(_REPEATS):
+    found = dict.fromkeys(KINDS, math.inf)
+    for _ in range(_REPEATS):
+        for kind, loop in zip(KINDS, _LOOPS, strict=True):
             start = time.perf_counter()
             loop()
-            spent.append(time.perf_counter() - start)
-        found[kind] = max(min(spent), _LEAST)
+            found[kind] = max(min(found[kind], time.perf_counter() - start), _LEAST)
     return found
 
 

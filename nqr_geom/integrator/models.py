@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any
@@ -176,6 +176,8 @@ class Model:
         Pieces of the family where errors depend on samples a piece, 0 where they do not.
     known : bool
         Whether these are figures of this method, or no more than a guess to begin with.
+    bound : Law, optional
+        Of the bounds that runs state of themselves, times `factor`: what a tolerance is checked against.
     """
 
     cost: Cost
@@ -183,6 +185,12 @@ class Model:
     factor: tuple[float, ...] = (1.0,)
     size: float = 0.0
     known: bool = True
+    bound: Law | None = None
+
+    @property
+    def checked(self) -> Law:
+        """How far it is off as far as it can tell itself."""
+        return self.bound or self.law
 
     def factor_at(self, n: float) -> float:
         """Factor on the bounds that a run of n samples gives."""
@@ -223,4 +231,5 @@ def model(problem: str, method: str) -> Model | None:
     threads = cores("NUMBA_NUM_THREADS") if row["threads"] else whole["cores"]
     cost = Cost(row["cost"]).on_this_machine(whole["speed"], whole["cores"], threads)
     law = Law(tuple(row["sizes"]), tuple(row["typical"]), tuple(row["high"]))
-    return Model(cost, law, tuple(row["factor"]), float(row["size"]))
+    bound = replace(law, high=tuple(row["bound"])) if "bound" in row else None
+    return Model(cost, law, tuple(row["factor"]), float(row["size"]), bound=bound)

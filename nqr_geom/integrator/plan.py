@@ -179,7 +179,7 @@ def forecast(way: Way, goal: Goal) -> Forecast:
     if goal.tol is None:
         raise ValueError("tol: expected a number, got None")
     wanted = goal.tol / goal.scale
-    found = way.model.law.size_for(wanted)
+    found = way.model.checked.size_for(wanted)
     if found is None:
         last = way.model.law.sizes[-1]
         return Forecast(way, None, math.inf, way.model.law.high_at(last) * goal.scale)

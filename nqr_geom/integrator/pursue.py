@@ -35,7 +35,11 @@ Rows = NDArray[np.int64]
 _MOST = {"samples": 2**20, "replicates": 2**16}  # samples an integral before a way is given up
 _GROWTH = 16.0  # of one level over the last at most
 _FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like,
-_WORTH = 0.5  # unless it takes more than this part of their time
+_WORTH = 0.3  # unless it takes more than this part of their time
+_NEARLY = 1.1  # times the time of the samples that should do it is not worth sparing: calls cost something, too
+_NEAR = 3  # times the samples of the level before at most, and a level of a design is checked against that one
+_NEARLY = 1.1  # times the time of the samples that should do it is not worth sparing: calls cost something, too
+_AGAIN = 3.0  # times the samples of the level before at most, and that one is what a level is checked against
 _PILOT = 0.08  # of a budget goes into finding out how fast this problem is
 _LEVELS, _CAREFUL = 8, 6.0  # of them at most, and how much bigger each: costs do not grow in proportion for ever
 _STALE = 0.9  # bounds that eight times the samples do not bring below this part of what they were will stay
@@ -140,11 +144,13 @@ class _Sampling:
         draw = self.way.draw
         if draw is None:
             raise ValueError(f"method: expected one that samples, got {self.way.method!r}")
-        parts = [draw(rows, size, self.repetition + k) for k, size in enumerate(sizes_of(self.way, n))]
+        known = self.before[0] if self.before is not None else 0
+        sizes = (n,) if known < n <= _NEAR * known else sizes_of(self.way, n)
+        parts = [draw(rows, size, self.repetition + k) for k, size in enumerate(sizes)]
         self.kind = "samples" if self.way.independent else "replicates"
         self.repetition += len(parts)
         seconds = time.perf_counter() - start
-        predicted = seconds_of(self.way, self.goal, n, len(rows))
+        predicted = sum(self.way.model.cost.seconds(len(rows), size, self.goal.size) for size in sizes)
         self.answer.pace[self.way.method] = seconds / max(predicted, 1e-9)
         found, bound = self._checked(rows, n, parts)
         self.answer.put(rows, found, bound)
@@ -167,7 +173,10 @@ class _Sampling:
             self.total = found.statistics
             seen = float(np.mean(found.statistics.count))
             return found, bound_of_samples(found.statistics) * self.way.model.factor_at(seen / per)
-        bound = bound_of_values(np.stack([part.value for part in parts])) * self.way.model.factor_at(n / per)
+        values = [part.value for part in parts]
+        if len(parts) == 1 and self.before is not None:
+            values = [self.before[1][of], *values]
+        bound = bound_of_values(np.stack(values)) * self.way.model.factor_at(n / per)
         if self.before is not None and self.before[0] < n:
             # What repetitions share they cannot see. Errors shrink from level to level by about as much as on the
             # family, so that the last step tells what is left.
@@ -180,14 +189,16 @@ class _Sampling:
 
 
 def _start(sampling: _Sampling, forecast: Forecast) -> int:
-    """Samples of a first level: a part of what the worst integrals should take, or all where a part is no cheaper."""
+    """Samples of a first level: a part of what the worst integrals should take, or all and what comes with them."""
     way, goal = sampling.way, sampling.goal
     if not way.model.known:
         return way.least
     most = _MOST["samples" if way.independent else "replicates"]
     whole = max(way.least, min(forecast.n or way.least, most))
-    part = max(way.least, math.ceil(_FIRST * whole))
-    return part if seconds_of(way, goal, part) < _WORTH * seconds_of(way, goal, whole) else whole
+    part, seconds = max(way.least, math.ceil(_FIRST * whole)), seconds_of(way, goal, whole)
+    if seconds_of(way, goal, part) < _WORTH * seconds:
+        return part
+    return min(max(whole, most_within(way, goal, _NEARLY * seconds) or whole), most)
 
 
 def _next(sampling: _Sampling, n: int, open_bounds: Floats, tol: float) -> int:

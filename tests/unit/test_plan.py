@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from nqr_geom import speed as machine_speed
 from nqr_geom.integrator.bounds import bound_of_samples, bound_of_values
 from nqr_geom.integrator.estimate import Statistics
 from nqr_geom.integrator.models import Cost, Law, Model, model
-from nqr_geom.integrator.plan import Goal, Way, cheapest, most_accurate, most_within, sizes_of
+from nqr_geom.integrator.plan import Clock, Goal, Way, cheapest, most_accurate, most_within, sizes_of
+from nqr_geom.integrator.pursue import _Answer, _Sampling, pursue
 
 SQUARE = ng.Curve.polyline([[0, 0], [1, 0], [1, 1], [0, 1]], closed=True)
 POINTS = np.random.default_rng(0).uniform(-1.0, 2.0, (150, 2))
@@ -73,6 +75,34 @@ def test_statistics_with_a_count_for_each_integral_merge():
                        np.array([[10], [30]]), "samples")  # fmt: skip
     assert mixed.stderr[0] == pytest.approx(one.stderr[0])
     assert mixed.stderr[1] == pytest.approx(both.stderr[1])
+
+
+def test_a_level_is_checked_against_the_one_before_where_that_is_near():
+    drawn = []
+
+    def draw(rows, n, k):
+        drawn.append((n, k))
+        value = np.full((len(rows), 1), 1.0 / n)
+        return replace(ng.gwn(SQUARE, POINTS[: len(rows)], full_output=True), value=value, inner=value, n=n)
+
+    goal = Goal(2, tol=1e-9)
+    sampling = _Sampling(replace(way("design", 1e-6, 1.0), draw=draw), goal, _Answer.empty(2), Clock())
+    bounds = [sampling.level(np.arange(2), n) for n in (8, 16, 200, 600)]
+    assert drawn == [(4, 0), (8, 1), (16, 2), (100, 3), (200, 4), (600, 5)]
+    for n, bound in zip((8, 16, 200, 600), bounds, strict=True):
+        assert (bound >= 1.0 / n).all()
+
+
+def test_samples_that_cost_next_to_nothing_are_taken_at_once():
+    drawn = []
+    dear = Model(Cost({"1": 1.0, "rows*n": 1e-6}), Law((8, 1024), (1.0, 1 / 128), (1.0, 1 / 128)))
+
+    def draw(rows, n, k):
+        drawn.append(n)
+        return ng.gwn(SQUARE, POINTS[: len(rows)], full_output=True)
+
+    pursue([Way("dear", dear, draw=draw)], Goal(1, tol=0.25))
+    assert drawn[-1] > 10_000  # 32 would do, and would take as long
 
 
 @pytest.mark.parametrize(("method", "tol"), [("auto", 1e-3), ("structured", 1e-3), ("stratified", 2e-2), ("mc", 0.1)])
