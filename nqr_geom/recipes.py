@@ -228,7 +228,7 @@ RECIPES: dict[str, Recipe] = {
             extra=WALK_TOKENS,
             designs=("walk-spread",),
             largest=128,
-            trust=2e-3,
+            trusts=(0.0, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2),
         ),
         Recipe(
             name="p-laplace",
@@ -296,12 +296,20 @@ JOINT: dict[str, JointRecipe] = {
             CurveGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
-        _pair(  # the sampler begins as walk-spread
-            "laplace-nqr",
+        JointRecipe(
+            # The sampler begins as walk-spread, and the answer as walk-fit: its errors and a network's have little in
+            # common, so that the network learns what helps beside it.
+            replace(
+                RECIPES["laplace-spread"],
+                name="laplace-nqr",
+                base="walk-fit",
+                config=replace(RECIPES["laplace-spread"].config, gated=True),
+                sizes=((32, 1.0),),
+                unit=1e-2,
+            ),
             "laplace-spread",
             SNetConfig(_WALK, head="step", bins=24, floor=0.05),
             LaplaceWalks,
-            (32, 1.0),
         ),
         _pair(
             "sd-nqr",

@@ -27,7 +27,7 @@ from nqr_geom.integrator.sums import row_mean
 from nqr_geom.wos.harmonic import harmonic_measure
 from nqr_geom.wos.panels import panels_of
 from nqr_geom.wos.rebuild import parts_of, room
-from nqr_geom.wos.record import SEEN, VALUE
+from nqr_geom.wos.record import SEEN
 from nqr_geom.wos.tokens import boundary_values
 
 __all__ = ["Fit", "WalkFit", "fitted"]
@@ -47,8 +47,8 @@ class Fit(NamedTuple):
 
     Attributes
     ----------
-    value : (B,) float64
-        The average; NaN where there is none.
+    value : (B, C) float64
+        The averages; NaN where there is none.
     hidden : (B,) float64
         How much of the measure lies on boundary of which shape or values are a guess.
     lost : (B,) float64
@@ -64,7 +64,7 @@ class Fit(NamedTuple):
 
 
 @_kernel
-def _collected(steps, end, value, loops, seen):  # type: ignore[no-untyped-def]
+def _collected(steps, known, end, value, loops, seen):  # type: ignore[no-untyped-def]
     """All closest points of a query's walks, unordered: arc length, x, y, value, way there; returns their number."""
     count, total = 0, loops[-1]
     for w in range(steps.shape[0]):
@@ -75,7 +75,7 @@ def _collected(steps, end, value, loops, seen):  # type: ignore[no-untyped-def]
                 row[4] = row[5] = 0.0
             else:
                 one = steps[w, j]
-                row[0], row[1], row[2], row[3] = one[3], one[5], one[6], one[4]
+                row[0], row[1], row[2], row[3] = one[3], one[5], one[6], known[w, j]
                 row[4], row[5] = one[0], one[1]
             row[0] = min(max(row[0], 0.0), total)
             keep = True
@@ -117,9 +117,9 @@ def _sorted(seen, count, total, keys, ordered):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit_rows(  # type: ignore[no-untyped-def]
-    steps, end, value, loops, step, fade, least, low, high, answer, hidden, lost, size
+    steps, known, end, value, loops, step, fade, least, low, high, answer, hidden, lost, size
 ):
-    """Rows low .. high."""
+    """Rows low .. high: geometry is the same for all boundary values, and so is the measure."""
     most = steps.shape[1] * (steps.shape[2] + 1)
     seen, ordered, keys = np.empty((most, 6)), np.empty((most, 6)), np.empty(most, dtype=np.int64)
     gap, chord, straight = np.empty(most), np.empty(most), np.empty(most, dtype=np.bool_)
@@ -127,50 +127,60 @@ def _fit_rows(  # type: ignore[no-untyped-def]
     matrix, work, measure = np.empty((MOST_PANELS, MOST_PANELS)), np.empty((6, MOST_PANELS)), np.empty(MOST_PANELS)
     for b in range(low, high):
         answer[b], hidden[b], lost[b], size[b] = np.nan, 1.0, np.inf, 0
-        count = _collected(steps[b], end[b], value[b], loops[b], seen)
-        count = _sorted(seen, count, loops[b, -1], keys, ordered)
-        if count < 2:
-            continue
-        made = parts_of(ordered[:count], loops[b], fade, gap, chord, straight, parts)
-        reach, near = 0.0, np.inf
-        for i in range(made):
-            reach = max(reach, abs(parts[i, 0]), abs(parts[i, 1]))
-            near = min(near, parts[i, 0] ** 2 + parts[i, 1] ** 2)
-        pace, m = step, -1
-        while m < 0:  # longer panels until there is room
-            m = panels_of(parts, made, 0.0, 0.0, max(least * np.sqrt(near), _NEAREST * reach), pace, panels)
-            pace *= 1.5
-        if m < 2:
-            continue
-        lost[b] = harmonic_measure(panels[:m], 0.0, 0.0, 0.5 / (_REACH * reach), matrix, work, measure[:m])
-        if not lost[b] < np.inf:
-            continue
-        size[b] = m
-        # From the first value on, so that a constant stays that constant to the last bit.
-        level, total, guess = panels[0, 4], 0.0, 0.0
-        for j in range(m):
-            total += measure[j] * (panels[j, 4] - level)
-            guess += measure[j] * panels[j, 5]
-        answer[b], hidden[b] = level + total, guess
+        for c in range(value.shape[2]):
+            count = _collected(steps[b], known[b, :, c], end[b], value[b, :, c], loops[b], seen)
+            count = _sorted(seen, count, loops[b, -1], keys, ordered)
+            if count < 2:
+                break
+            made = parts_of(ordered[:count], loops[b], fade, gap, chord, straight, parts)
+            if c == 0:
+                reach, near = 0.0, np.inf
+                for i in range(made):
+                    reach = max(reach, abs(parts[i, 0]), abs(parts[i, 1]))
+                    near = min(near, parts[i, 0] ** 2 + parts[i, 1] ** 2)
+                shortest = max(least * np.sqrt(near), _NEAREST * reach)
+            pace, m = step, -1
+            while m < 0:  # longer panels until there is room
+                m = panels_of(parts, made, 0.0, 0.0, shortest, pace, panels)
+                pace *= 1.5
+            if m < 2:
+                break
+            if c == 0:
+                lost[b] = harmonic_measure(panels[:m], 0.0, 0.0, 0.5 / (_REACH * reach), matrix, work, measure[:m])
+                if not lost[b] < np.inf:
+                    break
+                size[b] = m
+            # From the first value on, so that a constant stays that constant to the last bit.
+            level, total, guess = panels[0, 4], 0.0, 0.0
+            for j in range(m):
+                total += measure[j] * (panels[j, 4] - level)
+                guess += measure[j] * panels[j, 5]
+            answer[b, c] = level + total
+            if c == 0:
+                hidden[b] = guess
 
 
-def fitted(steps: Floats, end: Floats, value: Floats, loops: Floats, *, step: float, fade: float, least: float) -> Fit:
+def fitted(
+    steps: Floats, known: Floats, end: Floats, value: Floats, loops: Floats, *, step: float, fade: float, least: float
+) -> Fit:
     """The rule on arrays: what `LaplaceProblem` tells of (B, N) walks of D steps.
 
     Parameters
     ----------
     steps : (B, N, D, 10) float64
-        What was seen before every step.
-    end, value : (B, N, 4) and (B, N) float64
-        Where walks ended, and the boundary value there.
+        What was seen before every step, boundary values aside.
+    known : (B, N, C, D) float64
+        Boundary values of C kinds before every step.
+    end, value : (B, N, 4) and (B, N, C) float64
+        Where walks ended, and the boundary values there.
     loops : (B, L) float64
         Arc length at the end of each loop.
     step, fade, least : float
         See `WalkFit`.
     """
     batch = len(steps)
-    result = Fit(np.empty(batch), np.empty(batch), np.empty(batch), np.empty(batch, dtype=np.int64))
-    arrays = (np.ascontiguousarray(array) for array in (steps, end, value, loops))
+    result = Fit(np.empty((batch, value.shape[2])), np.empty(batch), np.empty(batch), np.empty(batch, dtype=np.int64))
+    arrays = (np.ascontiguousarray(array) for array in (steps, known, end, value, loops))
     inputs: tuple[Any, ...] = (*arrays, step, fade, least)
     rows: Any = _fit_rows
     over_rows(lambda i, j: rows(*inputs, i, j, *result), batch)
@@ -219,26 +229,17 @@ class WalkFit(Rule):
     def combine(self, samples: Samples) -> Combination:
         self._need_one_technique(samples)
         batch, n = samples.x.shape[:2]
-        steps = samples.feature("steps", self.name).reshape(batch, n, -1, sum(SEEN.values())).clone()
+        steps = samples.feature("steps", self.name).reshape(batch, n, -1, sum(SEEN.values()))
         end, loops = samples.feature("end", self.name)[:, :, 0], samples.feature("loops", self.name)[:, 0, 0]
         value, known = samples.value[:, :, 0], boundary_values(samples)[:, :, 0]  # (B, N, C) and (B, N, C, D)
-        weights, offsets = _plain_weights(samples), []
-        for channel in range(value.shape[2]):
-            steps[..., VALUE] = known[:, :, channel]
-            fit = fitted(
-                *(tensor.cpu().numpy() for tensor in (steps, end, value[..., channel], loops)),
-                step=self.step,
-                fade=self.fade,
-                least=self.least,
-            )
-            plain = torch.from_numpy(~(fit.lost <= self.doubt)).to(value.device)
-            # What to add to the plain mean: nothing where that is the answer.
-            answer = torch.from_numpy(fit.value).to(value)
-            offsets.append(torch.where(plain, 0.0, answer - row_mean(weights * value[..., channel])))
-        whole = weights[..., None, None].expand_as(samples.value)
-        # What is hidden is a question of geometry, the same for all channels.
+        arrays = (tensor.cpu().numpy() for tensor in (steps, known, end, value, loops))
+        fit = fitted(*arrays, step=self.step, fade=self.fade, least=self.least)
+        plain = torch.from_numpy(~(fit.lost <= self.doubt)).to(value.device)
+        weights, answer = _plain_weights(samples), torch.from_numpy(fit.value).to(value)
+        # What to add to the plain mean: nothing where that is the answer.
+        offset = torch.where(plain[:, None], 0.0, answer - row_mean(weights[..., None] * value))
         doubt = torch.from_numpy(fit.hidden).to(value.device).clamp(0.0, 1.0)
-        return Combination(whole, torch.stack(offsets, dim=1), plain, doubt=doubt)
+        return Combination(weights[..., None, None].expand_as(samples.value), offset, plain, doubt=doubt)
 
 
 def _plain_weights(samples: Samples) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -19,6 +21,7 @@ from nqr_geom.wos.panels import panels_of
 from nqr_geom.wos.problems import LaplaceProblem
 from nqr_geom.wos.rebuild import parts_of, room
 from nqr_geom.wos.structured import WalkFit
+from nqr_geom.wos.tokens import boundary_values
 
 SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
 
@@ -210,6 +213,30 @@ def test_better_than_latin_hypercube_on_hard_cases(name):
         found = [ng.solve_laplace(polygon, boundary, points, method=method, seed=k) - truth for k in range(12)]
         mse[method] = np.mean(np.square(found))
     assert mse["structured"] < 0.25 * mse["wos-lhs"]
+
+
+def test_boundary_values_of_several_kinds_are_answered_as_one_by_one():
+    batch = three_kinds()
+    together = WalkFit().combine(batch)
+    for channel in (0, 2):
+        features = {
+            **batch.seen.features,
+            "known": batch.seen.features["known"].unflatten(-1, (3, -1))[..., channel, :],
+        }
+        seen = replace(batch.seen, value=batch.value[..., channel : channel + 1], features=features)
+        alone = WalkFit().combine(replace(batch, seen=seen))
+        assert torch.equal(together.offset[:, channel], alone.offset[:, 0])
+        assert torch.equal(together.doubt, alone.doubt)
+
+
+def three_kinds():
+    """Samples with three kinds of values: the boundary's own, places and squares of them."""
+    samples = registry.make("sampler", "walk-spread").draw(LaplaceProblem.family(2, points=6), 32, Stream(0))
+    known = boundary_values(samples)  # (B, N, 1, 1, D)
+    three = torch.cat([known, known**2, known.abs().sqrt()], dim=3)
+    value = torch.cat([samples.value, samples.value**2, samples.value.abs().sqrt()], dim=3)
+    return replace(samples, seen=replace(samples.seen, value=value,
+                                         features={**samples.seen.features, "known": three.flatten(3)}))  # fmt: skip
 
 
 def test_one_closest_point_is_not_enough_and_says_so():

@@ -15,6 +15,7 @@ from nqr_geom.integrator.learn import inet
 from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule, correct, has_bfloat16
 from nqr_geom.integrator.learn.recipe import Recipe, draw_samples
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, sort_samples, standard, tokenize
+from nqr_geom.integrator.learn.train import robust
 from nqr_geom.integrator.problem import Feature, Observation, Samples
 from nqr_geom.integrator.rules import Combination
 from nqr_geom.recipes import RECIPES
@@ -219,6 +220,28 @@ def test_only_doubtful_rows_are_corrected() -> None:
     result = correct(torch.full((2, 2, 1, 3), 0.5), base, samples, config)
     assert result.estimate(samples)[1].item() == 1.5
     assert result.estimate(samples)[0].item() > 2.0
+
+
+def test_a_gate_leaves_the_base_or_puts_plain_weights_in_its_place() -> None:
+    config = INetConfig(TokenConfig(unit=1.0), weights="additive", unit_mass=True, gated=True)
+    samples = sample([2.0, 6.0], [0.3, 0.7])
+    base = Combination(torch.full((1, 2, 1, 1), 3.0).double(), torch.full((1, 1), -1.0).double())
+    raw = torch.tensor([[0.25, 0.0], [-0.25, 0.0]])[None, :, None]  # h and the gate of each sample
+    shut = correct(raw, base, samples, config)
+    assert torch.equal(shut.weights, base.weights)
+    assert torch.equal(shut.offset, base.offset)
+    raw[..., 1] = torch.tensor([[1.0], [3.0]])
+    part = np.tanh(2.0)
+    own = 0.5 * (2.0 * 1.25 + 6.0 * 0.75)
+    expected = (1.0 - part) * base.estimate(samples).item() + part * own
+    np.testing.assert_allclose(correct(raw, base, samples, config).estimate(samples).item(), expected, rtol=1e-12)
+    assert config.outputs == 2
+    assert INetConfig.from_dict(config.to_dict()) == config
+
+
+def test_errors_may_count_in_a_unit_of_their_own() -> None:
+    recipe = replace(RECIPES["toy-uniform"], unit=1e-3, huber=1e4)
+    assert robust(recipe, torch.full((2, 1), 3e-3, dtype=torch.float64), None).item() == pytest.approx(9.0, rel=1e-5)
 
 
 @pytest.mark.parametrize("base_offset", [(2, 1), (2, 4, 1)])

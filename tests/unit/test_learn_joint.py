@@ -136,6 +136,18 @@ def test_a_pair_begins_with_a_trained_integrator(tmp_path: Path) -> None:
         run(tmp_path / "none", SHORT, start_from=tmp_path / "nowhere")
 
 
+def test_a_gate_that_the_run_before_lacks_begins_shut(tmp_path: Path) -> None:
+    net = train(RULE, tmp_path / "rule", TrainConfig(4, batch=8, every=4, validation=32), progress=False)
+    gated = replace(PAIR, rule=replace(PAIR.rule, config=replace(RULE.config, gated=True)))
+    short = replace(SHORT, iterations=1, rate=1e-30)
+    begun, _ = train_jointly(
+        gated, tmp_path / "pair", short, precision="32-true", progress=False, start_from=tmp_path / "rule"
+    )
+    torch.testing.assert_close(begun.head.weight[:-1], net.head.weight, rtol=1e-6, atol=1e-9)
+    assert begun.head.weight[-1].abs().max() < 1e-20
+    assert begun.head.bias[-1].abs() < 1e-20
+
+
 def test_a_published_pair_is_the_trained_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nqr_geom.integrator.learn.publish._BLEND_SAMPLES", 2**11)
     _, sampler = run(tmp_path / "run", SHORT)

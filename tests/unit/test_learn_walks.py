@@ -17,6 +17,7 @@ from nqr_geom.integrator.learn.recipe import Recipe, draw_samples
 from nqr_geom.integrator.learn.tokens import TokenConfig, tokenize
 from nqr_geom.integrator.learn.train import TrainConfig, train
 from nqr_geom.integrator.problem import Samples, WalkProblem
+from nqr_geom.recipes import JOINT
 from nqr_geom.streams import Stream
 from nqr_geom.wos import training
 from nqr_geom.wos.domain import Domain
@@ -184,3 +185,12 @@ def test_a_small_network_learns_in_seconds(tmp_path: Path) -> None:
     rules = LearnedRule(net, UniformWeights(), WALK_TOKENS), UniformWeights()
     mine, mean = ((r.combine(samples).estimate(samples) - batch.answer).square().mean() for r in rules)
     assert mine < 0.75 * mean
+
+
+def test_the_pair_begins_as_its_rule() -> None:
+    recipe = JOINT["laplace-nqr"].rule
+    samples = registry.make("sampler", "walk-spread").draw(problem(), 32, Stream(0))
+    learned = LearnedRule(INet(recipe.config), recipe.base_rule(), recipe.extra).combine(samples)
+    base = registry.make("rule", "walk-fit").combine(samples)
+    assert torch.equal(learned.estimate(samples), base.estimate(samples))
+    assert torch.equal(learned.doubt, base.doubt)

@@ -13,11 +13,12 @@ import torch
 
 from nqr_geom import registry
 from nqr_geom.integrator.learn.inet import INet, LearnedRule
-from nqr_geom.integrator.learn.publish import fit_shares, measure_box, publish
+from nqr_geom.integrator.learn.publish import fit_shares, fit_trust, measure_box, publish, refit
 from nqr_geom.integrator.learn.recipe import draw_samples
 from nqr_geom.integrator.learn.train import TrainConfig, train
 from nqr_geom.integrator.learn.zoo import Card, Model, load, save
 from nqr_geom.integrator.problem import Samples
+from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.recipes import RECIPES
 from nqr_geom.streams import Stream
 
@@ -163,6 +164,45 @@ def test_shares_minimise_the_error_of_the_blend() -> None:
 def load_free(net: INet) -> LearnedRule:
 
     return LearnedRule(net, SMALL.base_rule(), SMALL.extra)
+
+
+class Doubting(Rule):
+    """The trapezoid, wrong by one where the first value is positive, and in doubt there or everywhere else."""
+
+    name = "doubting"
+
+    def __init__(self, *, honest: bool) -> None:
+        self.honest = honest
+
+    def combine(self, samples: Samples) -> Combination:
+        plain = registry.make("rule", "trapezoid").combine(samples)
+        wrong = samples.value[:, 0, 0, 0] > 0.0
+        offset = wrong[:, None].double()
+        return replace(plain, offset=offset, doubt=(wrong if self.honest else ~wrong).double())
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_a_doubt_is_trusted_where_it_helps(monkeypatch: pytest.MonkeyPatch, honest: bool) -> None:
+    make = registry.make
+    monkeypatch.setattr(
+        registry,
+        "make",
+        lambda kind, name: Doubting(honest=honest) if name == "doubting" else make(kind, name),
+    )
+    monkeypatch.setattr("nqr_geom.integrator.learn.publish._BLEND_SAMPLES", 2**15)
+    recipe = replace(SMALL, consistent="doubting", trusts=(0.0, 1e-3))
+    assert fit_trust(recipe, INet(SMALL.config)) == (1e-3 if honest else 0.0)
+    assert fit_trust(replace(recipe, trusts=(0.5,)), INet(SMALL.config)) == 0.5
+    assert fit_trust(replace(recipe, consistent="trapezoid"), INet(SMALL.config)) == 0.0
+
+
+def test_a_card_is_fitted_again_and_its_weights_stay(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nqr_geom.integrator.learn.publish._BLEND_SAMPLES", 2**12)
+    before = load(folder, SMALL).card
+    made = refit(SMALL, folder)
+    assert load(folder, SMALL).card == made
+    assert made.shares == fit_shares(SMALL, network(), before.sizes)
+    assert made == replace(before, shares=made.shares)
 
 
 def test_shares_fall_beyond_training_and_stay_at_zero() -> None:

@@ -55,6 +55,9 @@ class INetConfig:
     in_doubt : bool
         All outputs are in units of what the base rule leaves open beside each sample (`Extra.doubt`): a network whose
         outputs are right to a part in a hundred does no harm where the base rule is nearly exact.
+    gated : bool
+        The network's own rule, on plain weights whatever the base is, stands beside the base's answer, and the network
+        says for every integral which part of the answer it is: none before training, so that it begins as its base.
     positive : bool
         The integrals are known not to be negative: where the corrected estimate is not positive, a model answers with
         its base, and says so unless the base has seen nothing either. In training the clamp of Eq. 56 takes care of it.
@@ -72,13 +75,15 @@ class INetConfig:
     beside: int = 0
     growth: float = 3.0
     in_doubt: bool = False
+    gated: bool = False
     positive: bool = False
 
     @property
     def outputs(self) -> int:
         """Numbers a token gives: for each channel g (if weights are relative), h, and o (if there is an offset); then
-        the weights of the values beside."""
-        return self.tokens.channels * ((2 if self.weights == "relative" else 1) + self.offset) + self.beside
+        the weights of the values beside, and the gate."""
+        heads = (2 if self.weights == "relative" else 1) + self.offset
+        return self.tokens.channels * heads + self.beside + self.gated
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for a model card; `from_dict` is its inverse."""
@@ -154,6 +159,11 @@ def correct(
     """
     value, unit = standard(samples.value, config.tokens)
     raw = raw.to(value.dtype)
+    if config.gated:
+        raw, gate = raw.split([config.outputs - 1, 1], dim=-1)
+        plain = Combination(UniformWeights().combine(samples).weights, doubt=base.doubt)
+        own = correct(raw, plain, samples, replace(config, gated=False), extra)
+        return _gated(torch.tanh(row_mean(gate.sum(dim=2))), own, base)  # (B, 1)
     if config.in_doubt:
         raw = raw * doubt(samples, extra)[..., None, None]
     raw, beside = raw.split([config.outputs - config.beside, config.beside], dim=-1)
@@ -183,6 +193,15 @@ def correct(
         offset = offset + (shift[:, None] if offset.ndim == 3 else shift)
     elif shift is not None:
         offset = shift
+    return replace(base, weights=weights, offset=offset)
+
+
+def _gated(part: Tensor, own: Combination, base: Combination) -> Combination:
+    """part (B, 1) of a network's own rule and the rest of its base: exactly that where the part is 0."""
+    none = part.new_zeros(1, 1)
+    mine, theirs = (none if offset is None else offset for offset in (own.offset, base.offset))
+    weights = base.weights + part[..., None, None] * (own.weights - base.weights)
+    offset = theirs + (part[:, None] if theirs.ndim == 3 else part) * (mine - theirs)
     return replace(base, weights=weights, offset=offset)
 
 

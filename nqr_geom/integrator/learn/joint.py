@@ -230,16 +230,20 @@ def train_jointly(
 
 
 def _adopt(net: INet, run: RunFolder, name: str, heads: bool) -> None:
-    """Take over the averaged weights of a run, with or without the heads."""
+    """Take over the averaged weights of a run, with or without the heads; a gate that it lacks begins shut."""
     if not run.checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(run.checkpoint.parent)!r}")
     state = torch.load(run.checkpoint, weights_only=True)
-    found = json.loads(state["identity"])["recipe"]
+    identity = json.loads(state["identity"])
+    found = identity["recipe"]
     if found != name:
         raise ValueError(f"start_from: expected a run of {name!r}, found one of {found!r}")
     weights = state["average"]
     if not heads:
         weights |= {key: tensor for key, tensor in net.state_dict().items() if key.startswith("head.")}
+    elif net.config.gated and not identity["config"].get("gated"):
+        for key in ("head.weight", "head.bias"):
+            weights[key] = torch.cat([weights[key], torch.zeros_like(weights[key][:1])])
     net.load_state_dict(weights)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -15,10 +16,10 @@ from nqr_geom.integrator.learn.recipe import Recipe
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.snet import LearnedSampler
 from nqr_geom.integrator.learn.train import draw_batch
-from nqr_geom.integrator.learn.zoo import BLEND_SIZES, Card, checked, save, trusted
+from nqr_geom.integrator.learn.zoo import BLEND_SIZES, Card, checked, load, load_sampler, save, trusted, write_card
 from nqr_geom.integrator.samplers import Sampler
 
-__all__ = ["fit_shares", "measure_box", "publish"]
+__all__ = ["fit_shares", "fit_trust", "measure_box", "publish", "refit"]
 
 _BLEND_SAMPLES = 2**18  # validation samples spent on each size
 _CANDIDATES = 21
@@ -97,6 +98,58 @@ def fit_shares(
     return tuple(shares)
 
 
+@torch.no_grad()
+def fit_trust(recipe: Recipe, net: INet, seed: int = 0, sampler: Sampler | None = None) -> float:
+    """Which of the recipe's `trusts` leaves the least squared error on validation integrals, each at its best share.
+
+    Measured at the size that the network is mostly trained for. A consistent rule that tells no doubt, and an integral
+    behind a link, have none to choose: 0.
+    """
+    if len(recipe.trusts) == 1:
+        return recipe.trusts[0]
+    n = max(recipe.sizes, key=lambda pair: pair[1])[0]
+    learned, safe = LearnedRule(net, recipe.base_rule(), recipe.extra), registry.make("rule", recipe.consistent)
+    sums = torch.zeros(3, len(recipe.trusts), dtype=torch.float64)  # of squares, of products and of squared steps
+    spent = _BLEND_SAMPLES if sampler is None else _BLEND_SAMPLES // 8
+    for rows in torch.arange(max(64, spent // n)).split(max(1, 2**15 // n)):
+        batch, samples = draw_batch(recipe, rows, n, seed, "validation", sampler)
+        samples, link = batch.problem.finalize(samples)
+        combined = [rule.combine(samples) for rule in (learned, safe)]
+        if link.name != "identity" or combined[1].doubt is None:
+            return 0.0
+        mine, theirs = (part.estimate(samples) for part in combined)
+        off = theirs - batch.answer
+        for k, trust in enumerate(recipe.trusts):
+            step = torch.as_tensor(trusted(combined[1].doubt, trust)).reshape(-1, 1) * (mine - theirs)
+            sums[:, k] += torch.stack([off.square().sum(), (off * step).sum(), step.square().sum()])
+    square, product, size = sums
+    share = (-product / size).clamp(0.0, 1.0)
+    return recipe.trusts[int((square + 2.0 * share * product + share.square() * size).argmin())]
+
+
+def refit(recipe: Recipe | JointRecipe, folder: str | Path, seed: int = 0) -> Card:
+    """Choose trust and shares of a model that ships again, as its consistent rule has changed; its weights stay.
+
+    Parameters
+    ----------
+    recipe : Recipe or JointRecipe
+        Of the model.
+    folder : path
+        Where its weights and its card lie.
+    seed : int
+        Of the validation integrals.
+    """
+    rule = recipe.rule if isinstance(recipe, JointRecipe) else recipe
+    model = load(folder, rule)
+    sampler = load_sampler(folder, rule.name, recipe.snet()) if isinstance(recipe, JointRecipe) else None
+    net = model.learned.net
+    trust = fit_trust(rule, net, seed, sampler)
+    shares = fit_shares(rule, net, model.card.sizes, seed, sampler, trust)
+    card = replace(model.card, trust=trust, shares=shares)
+    write_card(folder, card)
+    return card
+
+
 def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, command: str = "") -> Card:
     """Make a model of a run's averaged weights; of joint training it holds both networks.
 
@@ -137,6 +190,7 @@ def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, c
     net = INet(rule.config)
     net.load_state_dict(state["average"])
     low, high = measure_box(rule, seed=trained["seed"], sampler=sampler, integrals=2**15 if snet is None else 2**12)
+    trust = fit_trust(rule, net, trained["seed"], sampler)
     card = Card(
         name=rule.name,
         problem=rule.problem,
@@ -155,10 +209,10 @@ def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, c
         },
         low=low,
         high=high,
-        shares=fit_shares(rule, net, seed=trained["seed"], sampler=sampler, trust=rule.trust),
+        shares=fit_shares(rule, net, seed=trained["seed"], sampler=sampler, trust=trust),
         command=command,
         sampler=None if snet is None else snet.config,
         group=trained.get("group", 0),
-        trust=rule.trust,
+        trust=trust,
     )
     return save(folder, net, card, snet)

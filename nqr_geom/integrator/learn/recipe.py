@@ -70,10 +70,14 @@ class Recipe:
         (`INetConfig.doubtful_only`) learns from flagged integrals alone.
     huber : float
         Errors beyond it count linearly instead of squared, so that one near singularity does not drown a batch.
+    unit : float
+        Size of an error, in which errors and `huber` count, where the base rule tells none: an optimiser does not tell
+        gradients far below 1e-8 from nothing.
     inner, outer : float
         Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
-    trust : float
-        Doubt of the consistent rule at which the network counts half of its share (`Card.trust`); 0: that is not asked.
+    trusts : tuple of float
+        Doubts of the consistent rule at which the network may count half of its share (`Card.trust`); the one with the
+        least error on validation integrals is taken. 0: that is not asked.
     """
 
     name: str
@@ -89,9 +93,10 @@ class Recipe:
     largest: int = 4096
     surplus: int = 1
     huber: float = 1.0
+    unit: float = 1.0
     inner: float = 0.2
     outer: float = 0.8
-    trust: float = 0.0
+    trusts: tuple[float, ...] = (0.0,)
 
     def base_rule(self) -> Rule:
         """The rule that the network corrects."""

@@ -147,8 +147,8 @@ def expected_error(recipe: Recipe, samples: Samples) -> Tensor | None:
 
 
 def robust(recipe: Recipe, before: Tensor, behind: Tensor | None, expected: Tensor | None = None) -> Tensor:
-    """Mean (robust) squared error of residuals (Eqs. 53 to 56), in units of the expected ones if they are given."""
-    unit = 1.0 if expected is None else expected.sqrt().clamp_min(_SMALLEST)
+    """Mean (robust) squared error of residuals (Eqs. 53 to 56), in units of the expected ones or else the recipe's."""
+    unit = recipe.unit if expected is None else expected.sqrt().clamp_min(_SMALLEST)
     first = _huber(before / unit, recipe.huber).mean()
     return first if behind is None else recipe.inner * first + recipe.outer * _huber(behind, recipe.huber).mean()
 
