@@ -28,7 +28,7 @@ __all__ = ["METHODS", "solve_laplace"]
 Floats = NDArray[np.float64]
 Source = Callable[[Floats], ArrayLike] | float | None
 
-METHODS = ("auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem")
+METHODS = ("auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "nqr", "boundary", "fem")
 _OUTSIDE = ("raise", "nan")
 
 _STEPS = 10_000  # of a walk that is not told otherwise: it ends after some ten or twenty
@@ -98,12 +98,13 @@ def solve_laplace(
     points : (m, 2) array_like, or dask array
         Queries, finite. A dask array gives one back that is computed chunk by chunk, by a method that treats every
         point by itself: "boundary" ("auto" too), which is solved once, "wos" with `n`, or one with a rule.
-    method : {"auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "boundary", "fem"}
+    method : {"auto", "wos", "wos-lhs", "wos-rqmc", "structured", "inet", "nqr", "boundary", "fem"}
         "boundary": deterministic, to many digits, Laplace only. "wos": independent walks to the epsilon shell.
         "wos-lhs": `n` walks of at most `max_steps` (12) steps with Latin hypercube directions, as in the paper.
         "wos-rqmc": such walks, sorted before every step and spread again. "structured": walks that go where none has
         ended yet; their closest points rebuild the boundary, and the answer is the mean under its harmonic measure.
-        "inet": such walks, weighed by a network too; it is trained on 32 walks of 12 steps.
+        "inet": such walks, weighed by a network too; it is trained on 32 walks of 12 steps. "nqr": walks that a network
+        directs step by step, weighed by the one that was trained with it; slow.
         "fem": finite elements. "auto": what should meet `tol` at the least cost.
     tol : float, optional
         Absolute error to reach, 1e-3 if nothing says how much: "auto" takes the method that should get there at the
@@ -115,7 +116,7 @@ def solve_laplace(
         do not count. With `tol` too, the cheapest answer within `tol`, as long as the time lasts.
     n : int, optional
         Walks a query, in place of tol and budget. 32 where nothing else is said for "wos-lhs", "wos-rqmc",
-        "structured", "inet", with a cap on their steps.
+        "structured", "inet", "nqr", with a cap on their steps.
     max_steps : int, optional
         Jumps of a walk before it takes the boundary value closest to it; such walks are counted. 10,000 by default.
     epsilon : float

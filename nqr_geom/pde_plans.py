@@ -20,7 +20,7 @@ __all__ = ["BY_RULE", "LEARNED", "Solvers", "first_choice", "laplace_ways", "spr
 
 Rows = NDArray[np.int64]
 
-LEARNED = ("inet",)
+LEARNED = ("inet", "nqr")
 BY_RULE = ("structured", "wos-lhs", "wos-rqmc", *LEARNED)  # a sampler and a rule over `n` walks of few steps
 
 

@@ -89,6 +89,7 @@ _PAIRS = (
     ("gwn-nqr", "gwn", "samples placed by a network on curves, and the network that weighs them"),
     ("sd-nqr", "sd", "samples placed by a network for smoothed distances, and the network that weighs them"),
     ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
+    ("laplace-nqr", "laplace", "walks directed by a network step by step, and the network that weighs them"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
 _DIMS = {"laplace": "12", "direct": "any"}  # of what networks know; else one
@@ -360,6 +361,7 @@ ALIASES: dict[str, str] = {
     "laplace:wos-rqmc": "array-rqmc+mc",
     "laplace:wos-lhs": "latin-hypercube+mc",
     "laplace:inet": "walk-spread+inet-laplace-spread",
+    "laplace:nqr": "snet-laplace-nqr+inet-laplace-nqr",
     "toy:inet": "stratified+inet-toy-structured",
     "gwn:inet": "stratified+inet-gwn-structured",
     "gwn:student": "stratified+inet-gwn-student",

@@ -54,7 +54,9 @@ def laplace(
     values: Annotated[
         str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
     ] = "waves",
-    method: Annotated[str, Parameter(help="auto, wos, wos-lhs, wos-rqmc, structured, inet, boundary, fem.")] = "auto",
+    method: Annotated[
+        str, Parameter(help="auto, wos, wos-lhs, wos-rqmc, structured, inet, nqr, boundary, fem.")
+    ] = "auto",
     tol: Annotated[
         float | None,
         Parameter(help="Absolute error to reach, 1e-3 by default; the boundary solver goes to 1e-6 of the spread."),

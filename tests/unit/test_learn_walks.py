@@ -194,3 +194,16 @@ def test_the_pair_begins_as_its_rule() -> None:
     base = registry.make("rule", "walk-fit").combine(samples)
     assert torch.equal(learned.estimate(samples), base.estimate(samples))
     assert torch.equal(learned.doubt, base.doubt)
+
+
+def test_walks_directed_by_a_network_answer_at_the_door() -> None:
+    square, points = np.array([[0, 0], [2, 0], [2, 2], [0, 2.0]]), np.array([[0.7, 1.1], [1.6, 0.4]])
+    got = ng.solve_laplace(square, lambda p: p[:, 0] - p[:, 1], points, method="nqr", full_output=True)
+    np.testing.assert_allclose(got.value[:, 0], points[:, 0] - points[:, 1], atol=0.02)
+    assert got.plan["rule"] == "inet-laplace-nqr"
+    assert got.counts["samples"] == 64
+    again = ng.solve_laplace(square, lambda p: p[:, 0] - p[:, 1], points[1:], method="nqr", rows=[1])
+    assert again[0] == got.value[1, 0]
+    np.testing.assert_array_equal(ng.solve_laplace(square, np.full(4, 3.0), points, method="nqr"), [3.0, 3.0])
+    with pytest.raises(ValueError, match="max_steps: expected 12 with method 'nqr'"):
+        ng.solve_laplace(square, np.zeros(4), points, method="nqr", max_steps=20)
