@@ -25,13 +25,14 @@ from nqr_geom import registry
 from nqr_geom.integrator.learn.joint import JointConfig, JointRecipe, train_jointly, validate
 from nqr_geom.integrator.learn.snet import SNetConfig
 from nqr_geom.integrator.learn.steps import Look
-from nqr_geom.recipes import JOINT
+from nqr_geom.recipes import JOINT, RECIPES
 from nqr_geom.wos.problems import WalkState
 from nqr_geom.wos.steps import LaplaceWalks
 
 ROOT = Path(__file__).resolve().parents[1]
 PAIR, BEGIN = JOINT["laplace-nqr"], "laplace-uniform"
-TRAINING = JointConfig(iterations=300, batch=16, every=50, warmup=50, average=0.98, validation=512)
+RULE = replace(RECIPES["laplace-spread"], consistent="mc", sizes=PAIR.rule.sizes)  # weights alone, as the paper's
+TRAINING = JointConfig(iterations=200, batch=16, every=50, warmup=50, average=0.98, validation=512)
 FROZEN = 1e-12
 
 
@@ -70,7 +71,7 @@ VARIANTS: dict[str, tuple[SNetConfig, type[LaplaceWalks] | None, float]] = {
 def trained(name: str, config: JointConfig, keep: Path) -> list[tuple[int, float]]:
     """The loss curve of a variant."""
     sampler, view, rate = VARIANTS[name]
-    rule = replace(PAIR.rule, name=f"laplace-{list(VARIANTS).index(name)}", consistent="mc")
+    rule = replace(RULE, name=f"laplace-{list(VARIANTS).index(name)}")
     recipe = JointRecipe(rule, BEGIN, sampler, view)
     folder = keep / rule.name
     train_jointly(recipe, folder, replace(config, sampler_rate=rate), start_from=ROOT / "training" / BEGIN)
@@ -91,7 +92,7 @@ def main() -> None:
             trained(list(VARIANTS)[arguments.only], config, keep)
             return
         curves = {name: trained(name, config, keep) for name in VARIANTS}
-    uniform = JointRecipe(PAIR.rule, BEGIN, GRID)  # untrained: independent walks
+    uniform = JointRecipe(RULE, BEGIN, GRID)  # untrained: independent walks
     plain = validate(uniform, uniform.snet(), registry.make("rule", "mc"), config)
     rows = [
         {"variant": name, "mse": points[-1][1], "first": points[0][1], "ratio": plain / points[-1][1]}

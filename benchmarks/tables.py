@@ -18,6 +18,7 @@ import layouts_light
 import layouts_plans
 import layouts_render
 import layouts_sd
+import layouts_walks
 import targets
 from layouts_time import equal_time, learned_time, sampling
 from page import Row, interval, markdown, short, span
@@ -247,7 +248,14 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("learned_walks", "Networks over walks: Table 14's rows on held-out polygons, and Fig. 33's domains", learned),
     ("step_ablation", "Fig. 31: what a sampler of walks has to see, joint training", layouts.step_ablation),
     ("walks_time", "Table 19: what weighing walks costs, an image of queries in one polygon", images),
+    (
+        "walk_fields",
+        "Figs. 32 and 33: errors of 32 walks a pixel, five polygons and three domains",
+        layouts_walks.fields,
+    ),
+    ("walk_strategy", "Figs. 34 and 35: where walks go and what their ends weigh", layouts_walks.strategy),
     ("p_walks", "Fig. 50: p = 3 from walks", nonlinear),
+    ("p_fields", "Fig. 50, the picture: p = 3 on three polygons", layouts_walks.nonlinear),
     ("fem_orders", "p-Laplacian by finite elements", orders),
     ("toy_calibration", "How close the toy family is to the paper's", calibration),
     ("transmittance", "Table 12: transmittance of clouds, a donut and letters", layouts_render.transmittance),
