@@ -92,7 +92,7 @@ def bare_walks(problem: Problem, n: int) -> Floats:
     mean = np.empty((problem.batch, 1))
     for k, boundary in enumerate(problem.boundaries):
         on = problem.groups == k
-        mean[on] = boundary.at(ended.edge[on], ended.t[on]).mean(axis=1)
+        mean[on, 0] = boundary.at(ended.edge[on], ended.t[on]).mean(axis=1)
     return mean
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -52,10 +53,11 @@ def problem_of(name: str, n: int) -> Problem:
     return gwn_batch(rows, 5, "validation").problem if name.startswith("gwn") else ToyProblem(rows, 5, "validation")
 
 
-def disturbed(net: SNet, size: float = 0.5) -> SNet:
-    """The network with random weights everywhere, the zero-initialised ones included."""
+def disturbed(make: Callable[[], SNet], size: float = 0.5) -> SNet:
+    """A network with random weights everywhere, the zero-initialised ones included; the same in every process."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
+        net = make()
         for parameter in net.parameters():
             parameter.data.add_(size * torch.randn_like(parameter) / math.sqrt(parameter.shape[-1]))
     return net.eval()
@@ -79,7 +81,7 @@ class Cube(Problem):
 @pytest.mark.parametrize("name", NETS)
 @pytest.mark.parametrize("trained", [False, True])
 def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:
-    net = disturbed(NETS[name]()) if trained else NETS[name]().eval()
+    net = disturbed(NETS[name]) if trained else NETS[name]().eval()
     with torch.no_grad():
         rollout = net.sample(problem_of(name, 40), 24, STREAM)
         scored = net.log_prob(rollout)
@@ -94,7 +96,7 @@ def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:
 @pytest.mark.parametrize("name", [name for name in NETS if name not in ("walk", "laplace-nqr")])
 def test_the_density_is_that_of_the_points(name: str) -> None:
     """1/p of a point averages to one, and probabilities of its place are uniform, whatever the network says."""
-    net = disturbed(NETS[name]())
+    net = disturbed(NETS[name])
     problem = problem_of(name, 1).take(torch.zeros(4096, dtype=torch.int64))
     keys = torch.arange(4096)
     with torch.no_grad():
@@ -134,7 +136,7 @@ def test_an_untrained_network_comes_near_the_structured_sampler() -> None:
 
 @pytest.mark.parametrize("name", NETS)
 def test_an_integral_sees_the_same_samples_in_any_batch(name: str) -> None:
-    sampler = LearnedSampler(disturbed(NETS[name]()))
+    sampler = LearnedSampler(disturbed(NETS[name]))
     problem = problem_of(name, 300)
     whole = sampler.draw(problem, 12, STREAM)
     for part in (slice(0, 1), slice(70, 71), slice(250, 300), torch.tensor([299, 3, 120])):
@@ -158,7 +160,7 @@ def test_beyond_what_the_network_places_points_are_stratified() -> None:
 
 def test_a_grid_in_six_dimensions_with_two_groups() -> None:
     config = SNetConfig(TokenConfig(dim=6), head="grid", grid=((4, 4, 4), (4, 4, 4)))
-    net = disturbed(SNet(config))
+    net = disturbed(lambda: SNet(config))
     problem = Cube(torch.arange(2048))
     with torch.no_grad():
         rollout = net.sample(problem, 6, STREAM)
@@ -174,7 +176,7 @@ def test_a_grid_in_six_dimensions_with_two_groups() -> None:
 
 
 def test_the_density_of_walks_is_that_of_their_directions() -> None:
-    net = disturbed(NETS["walk"](), 0.3)
+    net = disturbed(NETS["walk"], 0.3)
     problem = problem_of("walk", 1).take(torch.zeros(1024, dtype=torch.int64))
     with torch.no_grad():
         samples = net.sample(problem, 3, STREAM, torch.arange(1024)).samples
@@ -193,7 +195,7 @@ def test_the_density_of_walks_is_that_of_their_directions() -> None:
 def test_directions_turn_with_the_domain() -> None:
     star = np.array([[1.0, 0.0], [0.3, 0.4], [-0.2, 1.0], [-0.4, 0.1], [-0.9, -0.5], [0.2, -0.4]])
     turn = 3.0 * np.array([[0.0, -1.0], [1.0, 0.0]])
-    net = disturbed(NETS["walk"](), 0.3)
+    net = disturbed(NETS["walk"], 0.3)
     densities, walks = [], []
     for vertices, point in ((star, [0.1, 0.05]), (star @ turn.T, turn @ [0.1, 0.05])):
         problem = ng.problems.laplace(vertices, np.arange(6.0), [point])
@@ -207,7 +209,7 @@ def test_directions_turn_with_the_domain() -> None:
 
 
 def test_monte_carlo_on_its_samples_is_unbiased() -> None:
-    net = disturbed(JOINT["toy-nqr-uniform"].snet(), 0.2)
+    net = disturbed(JOINT["toy-nqr-uniform"].snet, 0.2)
     problem = problem_of("toy", 1).take(torch.zeros(4096, dtype=torch.int64))
     with torch.no_grad():
         samples = net.sample(problem, 16, STREAM, torch.arange(4096)).samples
