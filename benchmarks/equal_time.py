@@ -121,7 +121,7 @@ STUDIES: dict[str, Study] = {
     ),
     "laplace": Study(
         lambda less: with_reference(solved(LaplaceProblem.family(20 // less, SEED, points=96))),
-        ("mc", "wos-lhs", "wos-rqmc", "latin-hypercube+trapezoid"),
+        ("mc", "wos-lhs", "wos-rqmc"),
         ("structured", "inet", "latin-hypercube+inet-laplace-uniform", "nqr"),
         (8, 16, 32, 64),
         plain=bare_walks,

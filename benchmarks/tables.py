@@ -189,7 +189,7 @@ def images(rows: list[Row]) -> str:
         [
             [
                 row["method"],
-                row["n"],
+                f"{row['n']}",
                 *(taken[row["method"], row["n"], size] for size in sizes),
                 short(row["us_per_query"]),
                 short(row["times_mc"]),
