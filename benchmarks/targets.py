@@ -229,8 +229,8 @@ _TIME = (
 )
 
 _IN_TIME = tuple(
-    target(f"{name}: its squared error over the best other's within the time of 4, 8 .. 256 samples (0: none fits)", _least(goal),
-           "equal_time", of("ratio", application=name, kind="equal time"))
+    target(f"{name}: its squared error over the best other's within the time of 4, 8 .. 256 samples (0: none fits)",
+           _least(goal), "equal_time", of("ratio", application=name, kind="equal time"))
     for name, goal in (("toy", 10), ("gwn", 10), ("sd", 10), ("laplace", 1), ("transmittance", 1), ("direct", 1))
 )  # fmt: skip
 
