@@ -29,6 +29,7 @@ from learned_walks import solved
 from rich.console import Console
 from sd_methods import held_out
 from shapes import RESULTS, write
+from walks_time import plain as bare_walks
 
 import nqr_geom as ng
 from nqr_geom import registry
@@ -36,12 +37,10 @@ from nqr_geom.integrator.break_even import break_even, samples_to_match
 from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.problem import Problem
 from nqr_geom.render.direct_problem import DirectProblem
-from nqr_geom.streams import Stream
 from nqr_geom.wos.problems import LaplaceProblem
-from nqr_geom.wos.walk import walk
 
 Row = dict[str, Any]
-MonteCarlo = Callable[[Problem, int], Floats]
+MonteCarlo = Callable[[Any, int], Floats]
 
 BUDGETS = (4, 8, 16, 32, 64, 128, 256)  # Monte Carlo samples
 MOST = 1024  # of a classical rule, so that there is something to compare good rules with
@@ -81,19 +80,6 @@ def with_reference(problem: Problem) -> tuple[Problem, Floats]:
     if truth is None:
         raise ValueError(f"problem: expected one with a reference, got {problem.name!r}")
     return problem, truth
-
-
-def bare_walks(problem: Problem, n: int) -> Floats:
-    """Means of n random walks that record nothing."""
-    if not isinstance(problem, LaplaceProblem):
-        raise TypeError(f"problem: expected a LaplaceProblem, got {type(problem).__name__}")
-    inputs = (part.numpy() for part in (problem.shape, problem.points, problem.rows))
-    ended = walk(problem.geometry, *inputs, np.arange(n), Stream(SEED), epsilon=problem.epsilon, max_steps=problem.dim)
-    mean = np.empty((problem.batch, 1))
-    for k, boundary in enumerate(problem.boundaries):
-        on = problem.groups == k
-        mean[on, 0] = boundary.at(ended.edge[on], ended.t[on]).mean(axis=1)
-    return mean
 
 
 def rooms(less: int) -> tuple[Problem, Floats]:

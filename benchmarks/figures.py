@@ -33,6 +33,14 @@ def figure(width: float, height: float) -> Any:
     return made
 
 
+def outlined(axis: Any, corners: Any, lw: float = 0.8) -> None:
+    """The closed polygon with these corners, (n, 2), on an axis without ticks or frame."""
+    axis.plot(*[[*line, line[0]] for line in corners.T], color="0.15", lw=lw, zorder=1)
+    axis.set(xticks=[], yticks=[], aspect="equal")
+    for spine in axis.spines.values():
+        spine.set_visible(False)
+
+
 def save(made: Any, path: Path) -> None:
     """Write a figure and say where."""
     path.parent.mkdir(parents=True, exist_ok=True)

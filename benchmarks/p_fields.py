@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from comparison import SEED, N
-from figures import DOCS, figure, save
+from figures import DOCS, figure, outlined, save
 from shapes import write
 from walk_fields import framed
 
@@ -58,10 +58,7 @@ def draw(path: Path) -> list[dict[str, Any]]:
             look = {"cmap": "viridis", "vmin": 0.0, "vmax": worst} if title in errors else {
                 "cmap": "RdBu_r", "vmin": -most, "vmax": most}  # fmt: skip
             image = axis.imshow(whole.reshape(RESOLUTION, -1), origin="lower", extent=extent, **look)
-            axis.plot(*np.concatenate([domain.start, domain.start[:1]]).T, color="0.15", lw=0.8)
-            axis.set(xticks=[], yticks=[], aspect="equal")
-            for spine in axis.spines.values():
-                spine.set_visible(False)
+            outlined(axis, domain.start)
             note = f"{title}: {np.square(field).mean():.1e}" if title in errors else title
             axis.set_title(note, fontsize=9)
         bar = made.colorbar(image, ax=line, shrink=0.85, pad=0.01, format="%.2g")

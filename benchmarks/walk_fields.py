@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from comparison import SEED, N, Pair
-from figures import DOCS, figure, save
+from figures import DOCS, figure, outlined, save
 from numpy.typing import NDArray
 from shapes import write
 
@@ -73,12 +73,8 @@ def row(axes: Any, name: str, boundary: Boundary) -> tuple[list[dict[str, Any]],
         field = np.full(RESOLUTION**2, np.nan)
         field[inside] = values
         image = axis.imshow(field.reshape(RESOLUTION, -1), origin="lower", extent=extent, **look)
-        outline = np.concatenate([domain.start, domain.start[:1]])
-        axis.plot(*outline.T, color="0.15", lw=0.8)
-        axis.set(xticks=[], yticks=[], aspect="equal")
+        outlined(axis, domain.start)
         axis.set_title(title, fontsize=9)
-        for spine in axis.spines.values():
-            spine.set_visible(False)
         return image
 
     panel(axes[0], truth, f"{name}, {len(domain.start)} edges", cmap="RdBu_r", vmin=-most, vmax=most)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 from comparison import SEED, N
-from figures import DOCS, figure, save
+from figures import DOCS, figure, outlined, save
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 from shapes import write
@@ -100,15 +100,6 @@ def own_weights(samples: Samples, rule: LearnedRule) -> tuple[Floats, Floats]:
     return ends.numpy(), n * (ways * alive).sum(dim=2).numpy()
 
 
-def outline(axis: Any, problem: LaplaceProblem) -> None:
-    """The polygon, without ticks."""
-    start = problem.boundaries[0].domain.start
-    axis.plot(*np.concatenate([start, start[:1]]).T, color="0.15", lw=1.2, zorder=1)
-    axis.set(xticks=[], yticks=[], aspect="equal")
-    for spine in axis.spines.values():
-        spine.set_visible(False)
-
-
 def draw_walks(problem: LaplaceProblem, path: Path) -> None:
     """Fig. 34: walks from the first query, and their first two directions."""
     named = samplers()
@@ -117,7 +108,7 @@ def draw_walks(problem: LaplaceProblem, path: Path) -> None:
     start = problem.points[0].numpy()
     for (above, below), (title, sampler) in zip(axes.T, named.items(), strict=True):
         samples = drawn(problem, sampler)
-        outline(above, problem)
+        outlined(above, problem.boundaries[0].domain.start, 1.2)
         for corners in paths(samples, 0, start):
             above.plot(*corners.T, color="#0072B2", lw=0.8, alpha=0.55, zorder=2)
             above.plot(*corners[-1], "o", ms=4.5, color="#D55E00", mec="black", mew=0.4, zorder=4)
@@ -140,7 +131,7 @@ def draw_weights(problem: LaplaceProblem, rules: dict[str, tuple[str, LearnedRul
         samples = drawn(problem, sampler)
         weights = own_weights(samples, rule)[0]
         for k, axis in enumerate(line):
-            outline(axis, problem)
+            outlined(axis, problem.boundaries[0].domain.start, 1.2)
             start = problem.points[k].numpy()
             ends = np.array([corners[-1] for corners in paths(samples, k, start)])
             for corners in paths(samples, k, start):

@@ -35,10 +35,13 @@ METHODS = {"wos-lhs": ("latin-hypercube", "mc"), "walk-fit on LHS": ("latin-hype
 
 
 def plain(problem: LaplaceProblem, n: int) -> Floats:
-    """Means of n random walks from every query."""
+    """Means of n random walks from every query, walks that record nothing, (B, 1)."""
     inputs = (part.numpy() for part in (problem.shape, problem.points, problem.rows))
     ended = walk(problem.geometry, *inputs, np.arange(n), Stream(0), epsilon=problem.epsilon, max_steps=problem.dim)
-    mean: Floats = problem.boundaries[0].at(ended.edge, ended.t).mean(axis=1)
+    mean = np.empty((problem.batch, 1))
+    for k, boundary in enumerate(problem.boundaries):
+        on = problem.groups == k
+        mean[on, 0] = boundary.at(ended.edge[on], ended.t[on]).mean(axis=1)
     return mean
 
 
