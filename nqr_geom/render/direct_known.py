@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -15,7 +17,7 @@ from nqr_geom.integrator.problem import Whole
 from nqr_geom.integrator.samplers import Pmj
 from nqr_geom.keyed_warp import unsigned
 from nqr_geom.render import kernels_bsdf, kernels_known
-from nqr_geom.render.kernels_numbers import numbers, square_points
+from nqr_geom.render.kernels_numbers import numbers
 from nqr_geom.render.world import rows_of
 from nqr_geom.streams import Stream
 
@@ -24,32 +26,35 @@ if TYPE_CHECKING:
 
 __all__ = ["compiled", "known", "spans"]
 
-_POINTS, _LEAST = 4, 64  # points a pass and least number of them
+_LEAST = 8  # rays of slopes; others follow the root of the number of passes
 
 
-def _points(problem: DirectProblem, n: int) -> NDArray[np.float64]:
-    gloss = problem.variant[1]
-    return square_points(max(_LEAST, _POINTS * n) if gloss else 1)
+@lru_cache(maxsize=16)
+def _gauss(count: int) -> NDArray[np.float64]:
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return np.column_stack([0.5 + 0.5 * node, 0.5 * weight])
+
+
+def _points(n: int) -> Any:
+    """Gauss's rule for n passes, points and weights."""
+    return array(_gauss(max(_LEAST, 2 * math.isqrt(n))), wp.vec2d)
 
 
 def _most_lights(problem: DirectProblem) -> int:
     return max(1, max(len(scene.lights) for scene in problem.world.scenes))
 
 
-def known(problem: DirectProblem, shift: Tensor, n: int) -> Tensor:
+def known(problem: DirectProblem, n: int) -> Tensor:
     """Radiance that each light would send to the viewer by one reflection if nothing hid it.
 
-    Closed form on diffuse surfaces. Elsewhere the material is evaluated, and no ray traced, at max(64, 4n) points for
-    each light and as many for the glossy lobe.
+    Closed form on diffuse surfaces; elsewhere by quadrature over the slopes of microfacets, see `kernels_gloss`.
 
     Parameters
     ----------
     problem : DirectProblem
         B pixels.
-    shift : Tensor, (B, 2), float64
-        By how much the points are moved around the torus: a uniform one makes the answer unbiased.
     n : int
-        Passes that it stands beside.
+        Passes that it stands beside: with more of them it is more accurate.
 
     Returns
     -------
@@ -57,13 +62,8 @@ def known(problem: DirectProblem, shift: Tensor, n: int) -> Tensor:
         In the order of the scene's lights, L the most of any scene; 0 behind the last one.
     """
     radiance = np.zeros((problem.batch, _most_lights(problem), 3))
-    arguments = [
-        problem.world.struct,
-        rows_of(kernels_bsdf.Surface, problem.surfaces),
-        array(_points(problem, n), wp.vec2d),
-        array(np.ascontiguousarray(shift.cpu().numpy()), wp.vec2d),
-        array(radiance, wp.vec3d),
-    ]
+    surfaces = rows_of(kernels_bsdf.Surface, problem.surfaces)
+    arguments = [problem.world.struct, surfaces, _points(n), array(radiance, wp.vec3d)]
     launch(kernels_known.known(problem.variant[1]), problem.batch, arguments)
     return torch.from_numpy(radiance)
 
@@ -100,7 +100,7 @@ def compiled(problem: DirectProblem, sampler: object, n: int) -> Callable[[Strea
             numbers(stream, problem.batch, n, pmj=True),
             rounds,
             n,
-            array(_points(problem, n), wp.vec2d),
+            _points(n),
             array(np.zeros((problem.batch, most, 3)), wp.vec3d),
             wp.zeros((problem.batch, most), dtype=Lamp, device="cpu"),
             wp.empty((problem.batch, n, 2), dtype=Record, device="cpu"),

@@ -202,7 +202,7 @@ class DirectProblem(Problem):
         features = {name: seen[..., first : first + size] for name, (first, size) in LAYOUT.items()}
         features["pss"] = torch.stack([x[..., axes] for axes in _PSS], dim=2)
         features["incident"] = torch.from_numpy(value)
-        known = direct_known.known(self, x[:, 0, :2], n) if known is None else known
+        known = direct_known.known(self, n) if known is None else known
         light = features["light"].long()
         own = known.gather(1, light.clamp_min(0).flatten(1)[..., None].expand(-1, -1, 3)).view(batch, n, 2, 3)
         features["known"] = torch.where(light >= 0, own, 0.0)

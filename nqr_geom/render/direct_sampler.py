@@ -47,7 +47,7 @@ class LampSpread(Sampler):
         if not isinstance(problem, DirectProblem):
             raise ValueError(f"sampler: {self.name!r} needs the problem 'direct', got {problem.name!r}")
         x = Pmj().points(problem.rows, n, problem.dim, stream)
-        known = known_radiance(problem, x[:, 0, :2], n)
+        known = known_radiance(problem, n)
         low, length = spans(problem).unbind(dim=-1)  # (B, L)
         worth = torch.where(length > 0.0, luminance(known), 0.0)
         taken = torch.zeros_like(worth)

@@ -44,17 +44,17 @@ class LampSlabs(Slabs):
     size = 2
     context = 2 * _SLABS + _KINDS + 1
 
-    def __init__(self, problem: Problem, n: int, counts: tuple[int, ...], u: Tensor) -> None:
+    def __init__(self, problem: Problem, n: int, counts: tuple[int, ...]) -> None:
         # Its kernels load Warp, which a recipe can do without.
         from nqr_geom.render.direct_known import known, spans
         from nqr_geom.render.direct_problem import DirectProblem
 
         if not isinstance(problem, DirectProblem):
             raise ValueError(f"problem: expected 'direct', got {problem.name!r}")
-        super().__init__(problem, n, counts, u)
+        super().__init__(problem, n, counts)
         if counts != (_SLABS, _SLABS):
             raise ValueError(f"grid: expected {_SLABS} cells on the first axis of both groups, got {counts}")
-        self.lit, self.known = problem, known(problem, u, n)  # (B, L, 3)
+        self.lit, self.known = problem, known(problem, n)  # (B, L, 3)
         low, length = spans(problem).unbind(dim=-1)
         self.worth = torch.where(length > 0.0, luminance(self.known), 0.0)
         edge = torch.linspace(0.0, 1.0, counts[1] + 1, dtype=torch.float64)

@@ -141,6 +141,19 @@ def fresnel_dielectric(cosine: wp.float64, eta: wp.float64) -> wp.float64:
 
 
 @wp.func
+def fresnel(s: Surface, cosine: wp.float64) -> wp.vec3d:
+    """Reflectance of a conductor, or of the coat of plastic."""
+    if s.kind == _CONDUCTOR:
+        return wp.vec3d(
+            fresnel_conductor(cosine, s.eta[0], s.k[0]),
+            fresnel_conductor(cosine, s.eta[1], s.k[1]),
+            fresnel_conductor(cosine, s.eta[2], s.k[2]),
+        )
+    f = fresnel_dielectric(cosine, s.eta[0])
+    return wp.vec3d(f, f, f)
+
+
+@wp.func
 def luminance(c: wp.vec3d) -> wp.float64:
     """Rec. 709."""
     return wp.float64(0.2126) * c[0] + wp.float64(0.7152) * c[1] + wp.float64(0.0722) * c[2]
@@ -212,17 +225,7 @@ def reflect_any(s: Surface, coat: wp.array2d(dtype=wp.float64), out: wp.vec3d, w
         cosine = wp.min(wp.dot(h, out), _ONE)
         masked = unmasked(out, s.roughness) * ggx(h, s.roughness) / (wp.float64(4.0) * out[2])
         lobes.pdf += gloss * masked
-        seen = masked * unmasked(w, s.roughness) / w[2]
-        if s.kind == _CONDUCTOR:
-            f = wp.vec3d(
-                fresnel_conductor(cosine, s.eta[0], s.k[0]),
-                fresnel_conductor(cosine, s.eta[1], s.k[1]),
-                fresnel_conductor(cosine, s.eta[2], s.k[2]),
-            )
-            lobes.whole += seen * f
-        else:
-            f1 = seen * fresnel_dielectric(cosine, s.eta[0])
-            lobes.whole += wp.vec3d(f1, f1, f1)
+        lobes.whole += (masked * unmasked(w, s.roughness) / w[2]) * fresnel(s, cosine)
     return lobes
 
 

@@ -158,8 +158,7 @@ def kernel(spread: bool, shadows: bool, gloss: bool, selection: bool, medium: tu
             out = to_local(frame_of(s.normal), s.outgoing)
             start = s.position + _OFFSET * s.geometric
             shuffle(numbers, at, row, n)
-            shift = wp.vec2d(coordinate(numbers, at, row, 0, 0), coordinate(numbers, at, row, 0, 1))
-            fill(world, place, s, out, points, shift, known[at])
+            fill(world, place, s, out, points, known[at])
             lamps = all_lamps[at]
             for j in range(count):
                 span = span_of(world, s, place.lights + j)

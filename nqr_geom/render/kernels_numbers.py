@@ -8,7 +8,7 @@ from nqr_geom._warp import array, wp
 from nqr_geom.keyed_warp import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 
-__all__ = ["Numbers", "coordinate", "numbers", "shuffle", "square_points"]
+__all__ = ["Numbers", "coordinate", "numbers", "shuffle"]
 
 DIM = 6
 _BELOW_ONE = wp.constant(wp.float64(1.0 - 2.0**-53))
@@ -97,15 +97,6 @@ def _sobol(n: int) -> np.ndarray:
     from nqr_geom.integrator.samplers import sobol_reversed
 
     return np.ascontiguousarray(sobol_reversed(n, 2).astype(np.uint32))
-
-
-@lru_cache(maxsize=16)
-def square_points(least: int) -> np.ndarray:
-    """The first points of the Sobol' sequence in the unit square, (2^k, 2) float64 with 2^k >= least."""
-    from nqr_geom.integrator.samplers import sobol_reversed
-
-    digits = sobol_reversed(1 << (least - 1).bit_length(), 2)
-    return np.array([[int(f"{d:032b}"[::-1], 2) for d in pair] for pair in digits.tolist()]) * 2.0**-32
 
 
 def numbers(stream: Stream, rows: int, n: int, *, pmj: bool) -> Numbers:

@@ -106,8 +106,7 @@ def test_all_rounds_know_the_same_of_their_lamps() -> None:
 
 
 def test_slabs_hold_the_density_of_lamps_by_what_they_would_send() -> None:
-    u = STREAM.uniform(ROOM.rows[:, None], torch.arange(2))
-    slabs = LampSlabs(ROOM, 16, (8, 8), u)
+    slabs = LampSlabs(ROOM, 16, (8, 8))
     density = slabs.ahead()[:, 8:, 0].double().exp() - 0.05
     worth = luminance(slabs.known)
     lit = (worth.sum(dim=1) > 0.0) & ((worth > 0.0) <= (spans(ROOM)[..., 1] > 0.0)).all(dim=1)
@@ -159,9 +158,9 @@ def test_bad_arguments_are_named() -> None:
     with pytest.raises(ValueError, match="together: expected 1 of the head 'gap', got 4"):
         SNetConfig(TokenConfig(), together=4)
     with pytest.raises(ValueError, match="problem: expected 'direct', got 'toy'"):
-        LampSlabs(ng.problems.toy(1), 16, (8, 8), torch.zeros(1, 2))
+        LampSlabs(ng.problems.toy(1), 16, (8, 8))
     with pytest.raises(ValueError, match="grid: expected 8 cells on the first axis"):
-        LampSlabs(ROOM, 16, (4, 4), torch.zeros(ROOM.batch, 2))
+        LampSlabs(ROOM, 16, (4, 4))
 
     with pytest.raises(ValueError, match="view: the head 'grid' needs a type of Slabs"):
         SNet(PAIR.sampler, ToyGaps, SIGHT_TOKENS)

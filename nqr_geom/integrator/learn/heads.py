@@ -31,8 +31,8 @@ class Head(nn.Module):
     extra: int  # what `before` and `observe` add to a token
 
     @abstractmethod
-    def begin(self, problem: Problem, n: int, u: Tensor) -> Any:
-        """What the head keeps while n samples are placed; u (B, 2) are uniform numbers of its own."""
+    def begin(self, problem: Problem, n: int) -> Any:
+        """What the head keeps while n samples are placed."""
 
     @abstractmethod
     def choose(self, kept: Any, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
@@ -108,8 +108,8 @@ class GridHead(Head):
         self.numbers = sum(map(len, axes))
         self.extra = slabs.context
 
-    def begin(self, problem: Problem, n: int, u: Tensor) -> Slabs:
-        return self.slabs(problem, n, self.counts, u)
+    def begin(self, problem: Problem, n: int) -> Slabs:
+        return self.slabs(problem, n, self.counts)
 
     def before(self, kept: Slabs, state: Tensor) -> Tensor:
         return kept.seen()
@@ -235,7 +235,7 @@ class GapHead(Head):
         self.numbers = 3
         self.extra = 2 * gaps.size
 
-    def begin(self, problem: Problem, n: int, u: Tensor) -> _Kept:
+    def begin(self, problem: Problem, n: int) -> _Kept:
         gaps = self.gaps(problem, n)
         room = gaps.features.new_zeros(*gaps.open.shape, self.query.out_features)
         return _Kept(gaps, room, torch.zeros_like(gaps.features[..., 0]))

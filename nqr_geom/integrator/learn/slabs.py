@@ -34,14 +34,12 @@ class Slabs:
         Samples that will be placed.
     counts : tuple of int
         Slabs of each group.
-    u : Tensor, (B, 2), float64
-        Uniform numbers to be used as they please.
     """
 
     size: ClassVar[int] = 0
     context: ClassVar[int] = 0
 
-    def __init__(self, problem: Problem, n: int, counts: tuple[int, ...], u: Tensor) -> None:
+    def __init__(self, problem: Problem, n: int, counts: tuple[int, ...]) -> None:
         self.problem, self.n, self.counts = problem, n, counts
 
     def ahead(self) -> Tensor:

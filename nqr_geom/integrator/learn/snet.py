@@ -242,8 +242,7 @@ class SNet(nn.Module):
         """
         keys = problem.rows if keys is None else keys
         axis = torch.arange(self.head.numbers, device=keys.device)
-        u = stream.child("begin").uniform(keys[:, None], torch.arange(2, device=keys.device))
-        cache, kept = self.trunk.cache(problem.batch, n), self.head.begin(problem, n, u)
+        cache, kept = self.trunk.cache(problem.batch, n), self.head.begin(problem, n)
         token = torch.zeros(problem.batch, self.trunk.embed_in.in_features, device=keys.device)
         token[:, -_COUNTS - self.head.extra : -_COUNTS] = self.head.before(kept, token)
         points, densities, looks, records = [], [], [], []

@@ -110,7 +110,7 @@ class StepHead(Head):
         self.numbers = 2 * dim
         self.extra = 0
 
-    def begin(self, problem: Problem, n: int, u: Tensor) -> Walks:
+    def begin(self, problem: Problem, n: int) -> Walks:
         if not isinstance(problem, WalkProblem):
             raise ValueError(f"problem: expected one of walks, got {problem.name!r}")
         return self.walks(problem, n, self.bins)

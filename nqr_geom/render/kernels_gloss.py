@@ -1,0 +1,312 @@
+"""What a glossy lobe reflects of a sphere that nothing hides, inside kernels: a smooth integral over microfacet slopes.
+
+By slopes t (cos phi, sin phi) of the normals h = (t cos phi, t sin phi, 1) the GGX density is a function of t alone,
+and with t = a tan(beta) the radiance of a lobe of roughness a is, without a peaked factor left,
+
+    G1(o) / (2 pi o_z)  int dphi int dbeta  sin(2 beta) F G1(w) (o.h)        w = 2 (o.h)/(h.h) h - o.
+
+Along a ray of slopes "w sees the sphere" and "w is above the surface" are quadratic in t, so that the limits of beta
+come from roots; the rays that touch the sphere are roots of a quadratic form in (cos phi, sin phi). Slopes that reflect
+to a sphere lie inside a conic (outside, if it hides the direction against the viewer), and those that reflect above
+the surface in a circle. Between the angles where conic, circle and rays touch or meet, Gauss's rule does the rest.
+
+References: Walter et al., Microfacet models for refraction through rough surfaces, 2007, for the densities; Heitz,
+Dupuy, Hill, Neubelt, Real-time polygonal-light shading with linearly transformed cosines, 2016, approximate the same.
+"""
+
+import numpy as np
+
+from nqr_geom._warp import wp
+from nqr_geom.render.kernels_bsdf import Surface, fresnel, unmasked
+
+__all__ = ["GAUSS", "gauss", "gloss"]
+
+GAUSS = 5  # points of a stretch of v
+
+_nodes, _weights = np.polynomial.legendre.leggauss(GAUSS)
+_Points = wp.types.vector(length=GAUSS, dtype=wp.float64)
+_NODES = wp.constant(_Points(*(0.5 + 0.5 * _nodes).tolist()))
+_WEIGHTS = wp.constant(_Points(*(0.5 * _weights).tolist()))
+
+_ZERO = wp.constant(wp.float64(0.0))
+_HALF = wp.constant(wp.float64(0.5))
+_ONE = wp.constant(wp.float64(1.0))
+_TWO = wp.constant(wp.float64(2.0))
+_THREE = wp.constant(wp.float64(3.0))
+_SIX = wp.constant(wp.float64(6.0))
+_PI = wp.constant(wp.float64(3.141592653589793))
+_LEAST = wp.constant(wp.float64(1e-300))
+_MOST = wp.constant(wp.float64(1e300))
+
+
+@wp.func
+def gauss(i: wp.int32) -> wp.vec2d:
+    """Point i of Gauss's rule on the unit interval, and its weight."""
+    return wp.vec2d(_NODES[i], _WEIGHTS[i])
+
+
+@wp.struct
+class Sight:
+    """A viewer and a cone of directions in a shading frame."""
+
+    out: wp.vec3d
+    axis: wp.vec3d
+    inside: wp.float64  # cosine of the mirror direction to the axis, less that of the half angle
+    outside: wp.float64  # cosine of the half angle, less that of the direction against the viewer
+
+
+@wp.struct
+class Stretch:
+    """Parts of a ray of slopes, the second beyond a hole; a part is empty unless it ends behind its start."""
+
+    low: wp.float64
+    high: wp.float64
+    again: wp.float64
+    end: wp.float64
+
+
+@wp.func
+def sight_of(out: wp.vec3d, axis: wp.vec3d, cone: wp.float64) -> Sight:
+    """`cone` is 1 - cos of the half angle: differences keep the digits of a small one."""
+    sight = Sight()
+    sight.out = out
+    sight.axis = axis
+    off = wp.vec3d(-out[0], -out[1], out[2]) - axis
+    sight.inside = cone - _HALF * wp.dot(off, off)
+    sight.outside = _ONE - cone + wp.dot(out, axis)
+    return sight
+
+
+@wp.func
+def quadratic(sight: Sight, x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """(h.h) (w.c - C), C of the half angle, along the slopes t (x, y): coefficients of t^2, 2t and 1."""
+    a = sight.out[0] * x + sight.out[1] * y
+    b = sight.axis[0] * x + sight.axis[1] * y
+    return wp.vec3d(_TWO * a * b - sight.outside, a * sight.axis[2] + sight.out[2] * b, sight.inside)
+
+
+@wp.func
+def horizon(out: wp.vec3d, x: wp.float64, y: wp.float64) -> wp.float64:
+    """The slope from which on directions lie below the surface."""
+    a = out[0] * x + out[1] * y
+    return (a + wp.sqrt(a * a + out[2] * out[2])) / out[2]
+
+
+@wp.func
+def stretch_of(sight: Sight, x: wp.float64, y: wp.float64) -> Stretch:
+    """Slopes t (x, y) that reflect into the cone and above the surface."""
+    part = Stretch()
+    q = quadratic(sight, x, y)
+    far = horizon(sight.out, x, y)
+    discriminant = q[1] * q[1] - q[0] * q[2]
+    root = wp.sqrt(wp.max(_ZERO, discriminant))
+    part.high = far
+    if q[2] >= _ZERO:  # the mirror direction lies inside: up to the way out, and from a way back in
+        if discriminant > _ZERO:
+            if q[0] < _ZERO:
+                part.high = wp.where(q[1] > _ZERO, (q[1] + root) / -q[0], q[2] / (root - q[1]))
+            elif q[1] < _ZERO:
+                part.high = q[2] / (root - q[1])
+                if q[0] > _ZERO:
+                    part.again = (root - q[1]) / q[0]
+                    part.end = far
+    elif discriminant <= _ZERO or (q[0] <= _ZERO and q[1] <= _ZERO):
+        part.high = _ZERO
+    elif q[1] > _ZERO:
+        part.low = -q[2] / (q[1] + root)
+        if q[0] < _ZERO:
+            part.high = (q[1] + root) / -q[0]
+    else:
+        part.low = (root - q[1]) / q[0]
+    part.high = wp.min(part.high, far)
+    return part
+
+
+@wp.struct
+class Fan:
+    """Angles at which the integrand is not smooth, rising, and the frame that they are told in.
+
+    It goes all around where the peak lies inside the cone, or where the cone is seen as all but a hole.
+
+    The direction of angle psi is (cos psi) short + (sin psi) stretch long, normalized.
+    """
+
+    angles: wp.vec4d
+    count: wp.int32
+    x: wp.float64  # of the long axis
+    y: wp.float64
+    stretch: wp.float64
+    start: wp.float64  # angles lie in one turn from here
+    closed: wp.bool  # goes all around
+
+
+@wp.func
+def angle_of(fan: Fan, x: wp.float64, y: wp.float64) -> wp.float64:
+    psi = wp.atan2((x * fan.x + y * fan.y) / fan.stretch, x * fan.y - y * fan.x) - fan.start
+    return fan.start + psi - _TWO * _PI * wp.floor(psi / (_TWO * _PI))
+
+
+@wp.func
+def with_angle(fan: Fan, psi: wp.float64) -> Fan:
+    """Insert an angle at its place."""
+    at = fan.count
+    for k in range(4):
+        i = fan.count - 1 - k
+        if i >= 0 and at == i + 1 and fan.angles[i] > psi:
+            fan.angles[at] = fan.angles[i]
+            at = i
+    fan.angles[at] = psi
+    fan.count = fan.count + 1
+    return fan
+
+
+@wp.func
+def stretched(sight: Sight, alpha: wp.float64) -> Fan:
+    """The frame in which the slopes of a cone are seen most evenly from the peak of the lobe.
+
+    On an ellipse of half axes a, b around the peak the density, integrated along rays, is constant in psi.
+    """
+    o = sight.out
+    c = sight.axis
+    fan = Fan()
+    fan.y = _ONE
+    fan.stretch = _ONE
+    fan.start = -_PI
+    fan.closed = sight.inside >= _ZERO or sight.outside < _ZERO
+    # Minus the form of t^2, which is positive definite for an ellipse.
+    xx = sight.outside - _TWO * o[0] * c[0]
+    yy = sight.outside - _TWO * o[1] * c[1]
+    xy = -(o[0] * c[1] + o[1] * c[0])
+    mean = _HALF * (xx + yy)
+    size = wp.sqrt(_HALF * (xx - yy) * _HALF * (xx - yy) + xy * xy)
+    if mean > size:
+        turn = _HALF * wp.atan2(xy, _HALF * (xx - yy)) + _HALF * _PI  # of the smaller eigenvalue
+        fan.x = wp.cos(turn)
+        fan.y = wp.sin(turn)
+        gx = c[2] * o[0] + o[2] * c[0]
+        gy = c[2] * o[1] + o[2] * c[1]
+        along = gx * fan.x + gy * fan.y
+        across = gx * fan.y - gy * fan.x
+        middle = sight.inside + along * along / (mean - size) + across * across / (mean + size)
+        if middle > _ZERO:
+            a2 = middle / (mean - size)
+            b2 = wp.max(middle, across * across / (mean + size)) / (mean + size)
+            fan.stretch = wp.sqrt((_ONE + alpha * alpha / b2) / (_ONE + alpha * alpha / a2))
+            fan.stretch = wp.max(fan.stretch, _ONE)
+    return fan
+
+
+@wp.func
+def fan_of(sight: Sight, alpha: wp.float64) -> Fan:
+    """Where rays of slopes touch a cone that does not hold the mirror direction, and where the surface cuts it."""
+    fan = stretched(sight, alpha)
+    o = sight.out
+    c = sight.axis
+    if not fan.closed:  # cut it open on the far side of the middle
+        x = c[0] + o[0]
+        y = c[1] + o[1]
+        fan.start = wp.atan2((x * fan.x + y * fan.y) / fan.stretch, x * fan.y - y * fan.x) - _PI
+    if sight.inside < _ZERO or sight.outside < _ZERO:
+        # The discriminant is mean + size cos(2 (phi - middle)).
+        gx = c[2] * o[0] + o[2] * c[0]
+        gy = c[2] * o[1] + o[2] * c[1]
+        xx = gx * gx - sight.inside * (_TWO * o[0] * c[0] - sight.outside)
+        yy = gy * gy - sight.inside * (_TWO * o[1] * c[1] - sight.outside)
+        xy = gx * gy - sight.inside * (o[0] * c[1] + o[1] * c[0])
+        mean = _HALF * (xx + yy)
+        size = wp.sqrt(_HALF * (xx - yy) * _HALF * (xx - yy) + xy * xy)
+        if size > wp.abs(mean):
+            middle = _HALF * wp.atan2(xy, _HALF * (xx - yy))
+            away = _HALF * wp.acos(-mean / size)
+            for k in range(2):
+                phi = middle + (wp.float64(2 * k) - _ONE) * away
+                x = wp.cos(phi)
+                y = wp.sin(phi)
+                middle_term = quadratic(sight, x, y)[1]
+                if middle_term * sight.inside > _ZERO:  # it touches on the other side
+                    x = -x
+                    y = -y
+                if wp.abs(sight.inside) < horizon(o, x, y) * wp.abs(middle_term):
+                    fan = with_angle(fan, angle_of(fan, x, y))
+    cosine = sight.outside - wp.dot(o, c)
+    across = wp.sqrt(c[0] * c[0] + c[1] * c[1])
+    if across > wp.abs(cosine):  # the surface cuts the cone
+        middle = wp.atan2(c[1], c[0])
+        away = wp.acos(cosine / across)
+        for k in range(2):
+            phi = middle + (wp.float64(2 * k) - _ONE) * away
+            fan = with_angle(fan, angle_of(fan, wp.cos(phi) + o[0], wp.sin(phi) + o[1]))
+    return fan
+
+
+@wp.func
+def along(
+    s: Surface, out: wp.vec3d, x: wp.float64, y: wp.float64, first: wp.float64, last: wp.float64, pieces: wp.int32
+) -> wp.vec3d:
+    """Integral over slopes a tan(beta) in the direction (x, y), beta from `first` to `last`."""
+    total = wp.vec3d()
+    size = (last - first) / wp.float64(pieces)
+    for piece in range(pieces):
+        for i in range(GAUSS):
+            point = gauss(i)
+            beta = first + size * (wp.float64(piece) + point[0])
+            t = s.roughness * wp.tan(beta)
+            h = wp.vec3d(t * x, t * y, _ONE)
+            square = _ONE + t * t
+            seen = wp.dot(out, h)
+            w = (_TWO * seen / square) * h - out
+            if w[2] > _ZERO:
+                weight = size * point[1] * wp.sin(_TWO * beta) * seen * unmasked(w, s.roughness)
+                total += weight * fresnel(s, wp.min(seen / wp.sqrt(square), _ONE))
+    return total
+
+
+@wp.func
+def gloss(s: Surface, out: wp.vec3d, axis: wp.vec3d, cone: wp.float64, points: wp.array(dtype=wp.vec2d)) -> wp.vec3d:
+    """Radiance towards `out` by the glossy lobe, of a sphere of radiance 1 whose cone is not tiny.
+
+    Parameters
+    ----------
+    s : Surface
+        Not diffuse.
+    out, axis : vec3d
+        To the viewer and to the middle of the sphere, in the shading frame.
+    cone : float64
+        1 - cos of the half angle under which the sphere is seen; 2 inside it.
+    points : array of vec2d
+        Gauss's rule on the unit interval, points and weights: rays of slopes between any two angles at which the
+        integrand is not smooth. Every ray has GAUSS points for each dozen of rays.
+    """
+    rays = points.shape[0]
+    sight = sight_of(out, axis, cone)
+    fan = fan_of(sight, s.roughness)
+    smooth = fan.closed and fan.count == 0
+    spans = wp.where(fan.closed, wp.max(1, fan.count), wp.max(0, fan.count - 1))
+    total = wp.vec3d()
+    for span in range(spans):
+        begin = fan.angles[span]
+        end = begin + _TWO * _PI
+        if span + 1 < fan.count:
+            end = fan.angles[span + 1]
+        elif span > 0:
+            end = fan.angles[0] + _TWO * _PI
+        for k in range(rays):
+            psi = _TWO * _PI * wp.float64(k) / wp.float64(rays)
+            weight = _TWO * _PI / wp.float64(rays)
+            if not smooth:
+                u = points[k][0]
+                psi = begin + (end - begin) * u * u * (_THREE - _TWO * u)
+                weight = (end - begin) * points[k][1] * _SIX * u * (_ONE - u)
+            cosine = wp.cos(psi)
+            sine = fan.stretch * wp.sin(psi)
+            square = cosine * cosine + sine * sine
+            weight = weight * fan.stretch / square
+            x = (cosine * fan.y + sine * fan.x) / wp.sqrt(square)
+            y = (sine * fan.y - cosine * fan.x) / wp.sqrt(square)
+            part = stretch_of(sight, x, y)
+            for side in range(2):
+                first = wp.atan2(wp.where(side == 0, part.low, part.again), s.roughness)
+                last = wp.atan2(wp.where(side == 0, part.high, part.end), s.roughness)
+                if first < last:
+                    total += weight * along(s, out, x, y, first, last, (rays + 11) / 12)
+    return total * (unmasked(out, s.roughness) / (_TWO * _PI * out[2]))
