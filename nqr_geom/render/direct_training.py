@@ -60,7 +60,7 @@ def _answers(problem: DirectProblem, seed: int, split: str) -> np.ndarray:
     def answers() -> np.ndarray:
         return run(problem, LampSpread(), KnownLight(), PASSES, replicates=RUNS, seed=2**31 - 2, split=split).value
 
-    return _kept(problem, f"{split}-{seed}-known-{PASSES}x{RUNS}", answers)
+    return _kept(problem, f"{split}-{seed}-slopes-{PASSES}x{RUNS}", answers)
 
 
 def _kept(problem: DirectProblem, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
@@ -119,27 +119,29 @@ def doubts(split: str, seed: int) -> Tensor:
         made: np.ndarray = np.sqrt(total / _TRIED)
         return made
 
-    return torch.from_numpy(_kept(everything.problem, f"{split}-{seed}-doubt-{_TRIED}", errors))
+    return torch.from_numpy(_kept(everything.problem, f"{split}-{seed}-slopes-doubt-{_TRIED}", errors))
 
 
 @lru_cache(maxsize=3)
-def _by_doubt(seed: int) -> Tensor:
-    """Where the weight of each training pixel ends, (M,) rising to 1: three quarters go by doubt, the rest evenly."""
+def _by_doubt(seed: int) -> tuple[Tensor, Tensor]:
+    """How often each training pixel is drawn, (M,), and its sums: three quarters go by doubt, the rest evenly."""
     lit = pool("train", seed).lit
     doubt = doubts("train", seed)[lit]
     weight = doubt.clamp_max(_MOST * doubt.mean().clamp_min(1e-300))
     share = 0.75 * weight / weight.sum().clamp_min(1e-300) + 0.25 / len(lit)
-    ends = share.cumsum(dim=0)
-    return ends / ends[-1]
+    share = share / share.sum()
+    return share, share.cumsum(dim=0)
 
 
 def doubtful_batch(rows: Tensor, seed: int, split: str) -> Batch:
-    """Direct light as of `direct_batch`, in training mostly at pixels where `direct-known` errs at 16 passes."""
+    """Direct light as of `direct_batch`, in training mostly where `direct-known` errs at 16 passes, with weights."""
     if split != "train":
         return direct_batch(rows, seed, split)
     everything = pool(split, seed)
     # Multiples of the golden section fill the unit interval evenly.
     place = torch.remainder((rows.cpu().double() + 0.5) * 0.6180339887498949, 1.0)
-    index = everything.lit[torch.searchsorted(_by_doubt(seed), place).clamp_max(len(everything.lit) - 1)]
+    share, ends = _by_doubt(seed)
+    at = torch.searchsorted(ends, place).clamp_max(len(everything.lit) - 1)
+    index, weight = everything.lit[at], 1.0 / (len(share) * share[at])
     problem = replace(everything.problem.take(index), rows=rows.cpu())
-    return Batch(problem, everything.answer[index].to(rows.device))
+    return Batch(problem, everything.answer[index].to(rows.device), weight.to(rows.device))

@@ -132,7 +132,7 @@ def roll_out(recipe: JointRecipe, net: SNet, rows: Tensor, n: int, config: Joint
     index = torch.arange(len(rows), device=rows.device).repeat_interleave(config.group)
     member = torch.arange(config.group, device=rows.device).repeat(len(rows))
     keys = rows[index] * config.group + member
-    repeated = Batch(batch.problem.take(index), batch.answer[index])
+    repeated = batch.take(index)
     with torch.no_grad():
         # Independent numbers: the likelihood of evenly spread ones is not the product of their densities.
         return repeated, net.sample(repeated.problem, n, Stream(config.seed, "train", "rollouts"), keys, even=False)
@@ -207,7 +207,7 @@ def train_jointly(
         samples = sort_samples(rollout.samples)
         before, behind = residuals(recipe.rule, integrator.model, batch, samples)
         expected = expected_error(recipe.rule, samples)
-        value = robust(recipe.rule, before, behind, expected)
+        value = robust(recipe.rule, before, behind, expected, batch.weight)
         rate = learning_rate(config, iteration)
         integrator.step(value, rate, iteration)
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)

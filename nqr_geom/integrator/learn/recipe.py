@@ -31,10 +31,19 @@ class Batch:
         B integrals.
     answer : Tensor, (B, C), float64
         True G(F).
+    weight : Tensor, (B,), float64, optional
+        How often each is met in the family over how often it is drawn, where training looks at some more than at
+        others. Without it a network would take what it is shown for what there is.
     """
 
     problem: Problem
     answer: Tensor
+    weight: Tensor | None = None
+
+    def take(self, index: Tensor) -> Batch:
+        """Some of the integrals."""
+        weight = None if self.weight is None else self.weight[index]
+        return Batch(self.problem.take(index), self.answer[index], weight)
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def draw_lesson(recipe: Recipe, rows: Tensor, n: int, seed: int) -> tuple[Batch,
     chosen = torch.arange(len(more)) if flags is None else flags.nonzero()[: len(rows), 0]
     if not len(chosen):
         chosen = torch.arange(1, device=rows.device)
-    return Batch(batch.problem.take(chosen), batch.answer[chosen]), samples.take(chosen)
+    return batch.take(chosen), samples.take(chosen)
 
 
 def _huber(error: Tensor, knee: float) -> Tensor:
@@ -146,16 +146,20 @@ def expected_error(recipe: Recipe, samples: Samples) -> Tensor | None:
     return (row_mean(doubt(samples, recipe.extra).square()) / samples.n)[:, None]
 
 
-def robust(recipe: Recipe, before: Tensor, behind: Tensor | None, expected: Tensor | None = None) -> Tensor:
+def robust(
+    recipe: Recipe, before: Tensor, behind: Tensor | None, expected: Tensor | None = None, weight: Tensor | None = None
+) -> Tensor:
     """Mean (robust) squared error of residuals (Eqs. 53 to 56), in units of the expected ones or else the recipe's."""
     unit = recipe.unit if expected is None else expected.sqrt().clamp_min(_SMALLEST)
-    first = _huber(before / unit, recipe.huber).mean()
-    return first if behind is None else recipe.inner * first + recipe.outer * _huber(behind, recipe.huber).mean()
+    each = _huber(before / unit, recipe.huber)
+    if behind is not None:
+        each = recipe.inner * each + recipe.outer * _huber(behind, recipe.huber)
+    return (each if weight is None else each * weight[:, None]).mean()
 
 
 def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
     """Mean (robust) squared error of the corrected rule over a batch, before and behind the link."""
-    return robust(recipe, *residuals(recipe, net, batch, samples), expected_error(recipe, samples))
+    return robust(recipe, *residuals(recipe, net, batch, samples), expected_error(recipe, samples), batch.weight)
 
 
 @torch.no_grad()
