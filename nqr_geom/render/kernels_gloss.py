@@ -21,7 +21,7 @@ from nqr_geom.render.kernels_bsdf import Surface, fresnel, unmasked
 
 __all__ = ["GAUSS", "gauss", "gloss"]
 
-GAUSS = 5  # points of a stretch of v
+GAUSS = 5  # points of a stretch of beta
 
 _nodes, _weights = np.polynomial.legendre.leggauss(GAUSS)
 _Points = wp.types.vector(length=GAUSS, dtype=wp.float64)
@@ -35,8 +35,6 @@ _TWO = wp.constant(wp.float64(2.0))
 _THREE = wp.constant(wp.float64(3.0))
 _SIX = wp.constant(wp.float64(6.0))
 _PI = wp.constant(wp.float64(3.141592653589793))
-_LEAST = wp.constant(wp.float64(1e-300))
-_MOST = wp.constant(wp.float64(1e300))
 
 
 @wp.func
@@ -126,9 +124,7 @@ def stretch_of(sight: Sight, x: wp.float64, y: wp.float64) -> Stretch:
 class Fan:
     """Angles at which the integrand is not smooth, rising, and the frame that they are told in.
 
-    It goes all around where the peak lies inside the cone, or where the cone is seen as all but a hole.
-
-    The direction of angle psi is (cos psi) short + (sin psi) stretch long, normalized.
+    The direction of angle psi is (cos psi) short + (sin psi) stretch long, normalized: short and long are axes.
     """
 
     angles: wp.vec4d
@@ -137,18 +133,20 @@ class Fan:
     y: wp.float64
     stretch: wp.float64
     start: wp.float64  # angles lie in one turn from here
-    closed: wp.bool  # goes all around
+    parts: wp.int32  # into which to cut what lies between two angles
+    closed: wp.bool  # goes all around: the peak lies in the cone, or all but a hole does
 
 
 @wp.func
-def angle_of(fan: Fan, x: wp.float64, y: wp.float64) -> wp.float64:
-    psi = wp.atan2((x * fan.x + y * fan.y) / fan.stretch, x * fan.y - y * fan.x) - fan.start
-    return fan.start + psi - _TWO * _PI * wp.floor(psi / (_TWO * _PI))
+def turn_of(fan: Fan, x: wp.float64, y: wp.float64) -> wp.float64:
+    return wp.atan2((x * fan.x + y * fan.y) / fan.stretch, x * fan.y - y * fan.x)
 
 
 @wp.func
-def with_angle(fan: Fan, psi: wp.float64) -> Fan:
-    """Insert an angle at its place."""
+def with_angle(fan: Fan, x: wp.float64, y: wp.float64) -> Fan:
+    """Insert the angle of a direction at its place."""
+    psi = turn_of(fan, x, y) - fan.start
+    psi = fan.start + psi - _TWO * _PI * wp.floor(psi / (_TWO * _PI))
     at = fan.count
     for k in range(4):
         i = fan.count - 1 - k
@@ -158,6 +156,21 @@ def with_angle(fan: Fan, psi: wp.float64) -> Fan:
     fan.angles[at] = psi
     fan.count = fan.count + 1
     return fan
+
+
+@wp.func
+def waves(xx: wp.float64, yy: wp.float64, xy: wp.float64) -> wp.vec3d:
+    """A quadratic form of (cos phi, sin phi) as mean + size cos(2 (phi - angle)); eigenvalues are mean +- size."""
+    half = _HALF * (xx - yy)
+    return wp.vec3d(_HALF * (xx + yy), wp.sqrt(half * half + xy * xy), _HALF * wp.atan2(xy, half))
+
+
+@wp.func
+def slant(sight: Sight) -> wp.vec2d:
+    """The middle term of `quadratic` as a vector."""
+    o = sight.out
+    c = sight.axis
+    return wp.vec2d(c[2] * o[0] + o[2] * c[0], c[2] * o[1] + o[2] * c[1])
 
 
 @wp.func
@@ -172,25 +185,24 @@ def stretched(sight: Sight, alpha: wp.float64) -> Fan:
     fan.y = _ONE
     fan.stretch = _ONE
     fan.start = -_PI
+    fan.parts = wp.int32(1)
     fan.closed = sight.inside >= _ZERO or sight.outside < _ZERO
     # Minus the form of t^2, which is positive definite for an ellipse.
     xx = sight.outside - _TWO * o[0] * c[0]
     yy = sight.outside - _TWO * o[1] * c[1]
-    xy = -(o[0] * c[1] + o[1] * c[0])
-    mean = _HALF * (xx + yy)
-    size = wp.sqrt(_HALF * (xx - yy) * _HALF * (xx - yy) + xy * xy)
-    if mean > size:
-        turn = _HALF * wp.atan2(xy, _HALF * (xx - yy)) + _HALF * _PI  # of the smaller eigenvalue
-        fan.x = wp.cos(turn)
-        fan.y = wp.sin(turn)
-        gx = c[2] * o[0] + o[2] * c[0]
-        gy = c[2] * o[1] + o[2] * c[1]
-        along = gx * fan.x + gy * fan.y
-        across = gx * fan.y - gy * fan.x
-        middle = sight.inside + along * along / (mean - size) + across * across / (mean + size)
+    form = waves(xx, yy, -(o[0] * c[1] + o[1] * c[0]))
+    low = form[0] - form[1]
+    high = form[0] + form[1]
+    if low > _ZERO:
+        fan.x = -wp.sin(form[2])  # square to the direction of the larger eigenvalue
+        fan.y = wp.cos(form[2])
+        g = slant(sight)
+        lengthwise = g[0] * fan.x + g[1] * fan.y
+        across = g[0] * fan.y - g[1] * fan.x
+        middle = sight.inside + lengthwise * lengthwise / low + across * across / high
         if middle > _ZERO:
-            a2 = middle / (mean - size)
-            b2 = wp.max(middle, across * across / (mean + size)) / (mean + size)
+            a2 = middle / low
+            b2 = wp.max(middle, across * across / high) / high  # or how far off the peak lies
             fan.stretch = wp.sqrt((_ONE + alpha * alpha / b2) / (_ONE + alpha * alpha / a2))
             fan.stretch = wp.max(fan.stretch, _ONE)
     return fan
@@ -205,37 +217,34 @@ def fan_of(sight: Sight, alpha: wp.float64) -> Fan:
     if not fan.closed:  # cut it open on the far side of the middle
         x = c[0] + o[0]
         y = c[1] + o[1]
-        fan.start = wp.atan2((x * fan.x + y * fan.y) / fan.stretch, x * fan.y - y * fan.x) - _PI
+        fan.start = turn_of(fan, x, y) - _PI
     if sight.inside < _ZERO or sight.outside < _ZERO:
-        # The discriminant is mean + size cos(2 (phi - middle)).
-        gx = c[2] * o[0] + o[2] * c[0]
-        gy = c[2] * o[1] + o[2] * c[1]
-        xx = gx * gx - sight.inside * (_TWO * o[0] * c[0] - sight.outside)
-        yy = gy * gy - sight.inside * (_TWO * o[1] * c[1] - sight.outside)
-        xy = gx * gy - sight.inside * (o[0] * c[1] + o[1] * c[0])
-        mean = _HALF * (xx + yy)
-        size = wp.sqrt(_HALF * (xx - yy) * _HALF * (xx - yy) + xy * xy)
-        if size > wp.abs(mean):
-            middle = _HALF * wp.atan2(xy, _HALF * (xx - yy))
-            away = _HALF * wp.acos(-mean / size)
+        # Rays touch the cone where the discriminant of `quadratic` is zero.
+        g = slant(sight)
+        xx = g[0] * g[0] - sight.inside * (_TWO * o[0] * c[0] - sight.outside)
+        yy = g[1] * g[1] - sight.inside * (_TWO * o[1] * c[1] - sight.outside)
+        form = waves(xx, yy, g[0] * g[1] - sight.inside * (o[0] * c[1] + o[1] * c[0]))
+        if form[1] > wp.abs(form[0]):
+            away = _HALF * wp.acos(-form[0] / form[1])
             for k in range(2):
-                phi = middle + (wp.float64(2 * k) - _ONE) * away
+                phi = form[2] + (wp.float64(2 * k) - _ONE) * away
                 x = wp.cos(phi)
                 y = wp.sin(phi)
-                middle_term = quadratic(sight, x, y)[1]
-                if middle_term * sight.inside > _ZERO:  # it touches on the other side
+                slanted = g[0] * x + g[1] * y
+                if slanted * sight.inside > _ZERO:  # it touches on the other side
                     x = -x
                     y = -y
-                if wp.abs(sight.inside) < horizon(o, x, y) * wp.abs(middle_term):
-                    fan = with_angle(fan, angle_of(fan, x, y))
+                if wp.abs(sight.inside) < horizon(o, x, y) * wp.abs(slanted):
+                    fan = with_angle(fan, x, y)
     cosine = sight.outside - wp.dot(o, c)
     across = wp.sqrt(c[0] * c[0] + c[1] * c[1])
     if across > wp.abs(cosine):  # the surface cuts the cone
         middle = wp.atan2(c[1], c[0])
         away = wp.acos(cosine / across)
+        fan.parts = wp.int32(2)  # hardest, and rare
         for k in range(2):
             phi = middle + (wp.float64(2 * k) - _ONE) * away
-            fan = with_angle(fan, angle_of(fan, wp.cos(phi) + o[0], wp.sin(phi) + o[1]))
+            fan = with_angle(fan, wp.cos(phi) + o[0], wp.sin(phi) + o[1])
     return fan
 
 
@@ -283,30 +292,33 @@ def gloss(s: Surface, out: wp.vec3d, axis: wp.vec3d, cone: wp.float64, points: w
     smooth = fan.closed and fan.count == 0
     spans = wp.where(fan.closed, wp.max(1, fan.count), wp.max(0, fan.count - 1))
     total = wp.vec3d()
-    for span in range(spans):
+    for part in range(spans * fan.parts):
+        span = part / fan.parts
         begin = fan.angles[span]
         end = begin + _TWO * _PI
         if span + 1 < fan.count:
             end = fan.angles[span + 1]
         elif span > 0:
             end = fan.angles[0] + _TWO * _PI
+        size = (end - begin) / wp.float64(fan.parts)
+        begin += wp.float64(part - span * fan.parts) * size
         for k in range(rays):
             psi = _TWO * _PI * wp.float64(k) / wp.float64(rays)
             weight = _TWO * _PI / wp.float64(rays)
             if not smooth:
                 u = points[k][0]
-                psi = begin + (end - begin) * u * u * (_THREE - _TWO * u)
-                weight = (end - begin) * points[k][1] * _SIX * u * (_ONE - u)
+                psi = begin + size * u * u * (_THREE - _TWO * u)
+                weight = size * points[k][1] * _SIX * u * (_ONE - u)
             cosine = wp.cos(psi)
             sine = fan.stretch * wp.sin(psi)
             square = cosine * cosine + sine * sine
             weight = weight * fan.stretch / square
             x = (cosine * fan.y + sine * fan.x) / wp.sqrt(square)
             y = (sine * fan.y - cosine * fan.x) / wp.sqrt(square)
-            part = stretch_of(sight, x, y)
+            seen = stretch_of(sight, x, y)
             for side in range(2):
-                first = wp.atan2(wp.where(side == 0, part.low, part.again), s.roughness)
-                last = wp.atan2(wp.where(side == 0, part.high, part.end), s.roughness)
+                first = wp.atan2(wp.where(side == 0, seen.low, seen.again), s.roughness)
+                last = wp.atan2(wp.where(side == 0, seen.high, seen.end), s.roughness)
                 if first < last:
                     total += weight * along(s, out, x, y, first, last, (rays + 11) / 12)
     return total * (unmasked(out, s.roughness) / (_TWO * _PI * out[2]))

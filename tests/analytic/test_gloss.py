@@ -16,12 +16,12 @@ from nqr_geom.render.materials import METALS, coat_table
 from tests.scenes import open_floor
 
 Floats = NDArray[np.float64]
-RNG = np.random.default_rng(3)
 
 
 def directions(n: int, least: float) -> Floats:
     """Random viewers whose cosine to the normal is at least that."""
-    z, phi = RNG.uniform(least, 1.0, n), RNG.uniform(0.0, 2.0 * np.pi, n)
+    rng = np.random.default_rng(3)
+    z, phi = rng.uniform(least, 1.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
     r = np.sqrt(1.0 - z * z)
     return np.column_stack([r * np.cos(phi), r * np.sin(phi), z])
 
