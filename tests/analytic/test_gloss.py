@@ -52,9 +52,8 @@ def summed(alpha: float, metal: str, lamp: tuple[list[float], float], views: Flo
     s /= np.linalg.norm(s)
     t = np.cross(c, s)
     sine = np.sqrt(1.0 - z**2)
-    w = (z[:, None, None] * c + sine[:, None, None] * (np.cos(phi)[:, None] * s + np.sin(phi)[:, None] * t)).reshape(
-        -1, 3
-    )
+    around = np.cos(phi)[:, None] * s + np.sin(phi)[:, None] * t
+    w = (z[:, None, None] * c + sine[:, None, None] * around).reshape(-1, 3)
     w = w[w[:, 2] > 0.0]
     solid = 2.0 * np.pi * (1.0 - cosine) / points**2
     result = np.empty((len(views), 3))
@@ -103,7 +102,7 @@ def test_a_sharp_lobe_inside_a_lamp_gives_all_that_it_reflects(alpha: float) -> 
         inside = reflected(metal, (mirror, 0.5), view[None])[0]
         whole = reflected(metal, (mirror, 1.0), view[None], 4096)[0]  # around the point
         assert (inside <= whole * (1.0 + 1e-9)).all()
-        # Outside a cone of slopes up to s a lobe has a^2 / (a^2 + s^2): at these s, about 4 a^2 over sin^2 60 / 16.
+        # Beyond slopes of s a lobe has less than (a / s)^2; the lamp's edge, at 30 degrees, takes s of tan 15 or more.
         np.testing.assert_allclose(inside, whole, rtol=30.0 * alpha**2 + 1e-7)
 
 

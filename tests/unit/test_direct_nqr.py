@@ -175,3 +175,27 @@ def test_tokens_of_the_sampler_are_finite_and_know_no_brightness() -> None:
     bright = {name: tensor * (8.0 if name in scaled else 1.0) for name, tensor in samples.seen.features.items()}
     brighter = replace(samples, seen=replace(samples.seen, value=8.0 * samples.value, features=bright))
     assert_array_equal(SIGHT_TOKENS.compute(brighter), tokens)
+
+
+def test_pixels_that_are_drawn_more_often_count_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Weighted means over what training draws are means over all lit pixels, whatever the doubts."""
+    from nqr_geom.render import direct_training
+
+    lit = torch.arange(0, len(ROOM.rows), 2)
+    doubt = torch.zeros(len(ROOM.rows), dtype=torch.float64)
+    doubt[lit[::5]] = 3.0
+    answer = Stream(8).uniform(ROOM.rows[:, None], torch.arange(3))
+    rooms = direct_training.Pool(ROOM, answer, lit)
+    monkeypatch.setattr(direct_training, "pool", lambda split, seed: rooms)
+    monkeypatch.setattr(direct_training, "doubts", lambda split, seed: doubt)
+    direct_training._by_doubt.cache_clear()
+    batch = direct_training.doubtful_batch(torch.arange(20_000), 0, "train")
+    direct_training._by_doubt.cache_clear()
+    assert batch.weight is not None
+    assert batch.weight.min() < 0.5
+    assert batch.weight.max() > 2.0
+    assert_allclose((batch.weight[:, None] * batch.answer).mean(dim=0), answer[lit].mean(dim=0), rtol=5e-3)
+    part = batch.take(torch.arange(3, 9))
+    assert part.weight is not None
+    assert torch.equal(part.weight, batch.weight[3:9])
+    assert torch.equal(part.answer, batch.answer[3:9])

@@ -90,3 +90,9 @@ def test_where_samples_are_plenty_nothing_is_forced() -> None:
     many, few = ToyGaps(PROBLEM, 64), ToyGaps(PROBLEM, 4)
     assert bool((many.worth() < 100.0).all())
     assert_array_equal(many.worth() + 1e3, few.worth())
+
+
+def test_weights_count_integrals() -> None:
+    error = torch.tensor([[1.0], [2.0], [4.0]], dtype=torch.float64)
+    twice = robust(RECIPE, error[[0, 0, 1]], None)
+    assert_allclose(robust(RECIPE, error, None, weight=torch.tensor([2.0, 1.0, 0.0]).double()), twice)
