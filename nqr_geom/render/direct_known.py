@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from nqr_geom._warp import array, launch, wp
@@ -17,6 +15,7 @@ from nqr_geom.integrator.problem import Whole
 from nqr_geom.integrator.samplers import Pmj
 from nqr_geom.keyed_warp import unsigned
 from nqr_geom.render import kernels_bsdf, kernels_known
+from nqr_geom.render.kernels_gloss import gauss_points
 from nqr_geom.render.kernels_numbers import numbers
 from nqr_geom.render.world import rows_of
 from nqr_geom.streams import Stream
@@ -29,15 +28,9 @@ __all__ = ["compiled", "known", "spans"]
 _LEAST = 8  # rays of slopes; others follow the root of the number of passes
 
 
-@lru_cache(maxsize=16)
-def _gauss(count: int) -> NDArray[np.float64]:
-    node, weight = np.polynomial.legendre.leggauss(count)
-    return np.column_stack([0.5 + 0.5 * node, 0.5 * weight])
-
-
 def _points(n: int) -> Any:
     """Gauss's rule for n passes, points and weights."""
-    return array(_gauss(max(_LEAST, 2 * math.isqrt(n))), wp.vec2d)
+    return array(gauss_points(max(_LEAST, 2 * math.isqrt(n))), wp.vec2d)
 
 
 def _most_lights(problem: DirectProblem) -> int:

@@ -14,19 +14,27 @@ References: Walter et al., Microfacet models for refraction through rough surfac
 Dupuy, Hill, Neubelt, Real-time polygonal-light shading with linearly transformed cosines, 2016, approximate the same.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from nqr_geom._warp import wp
 from nqr_geom.render.kernels_bsdf import Surface, fresnel, unmasked
 
-__all__ = ["GAUSS", "gauss", "gloss"]
+__all__ = ["GAUSS", "gauss", "gauss_points", "gloss"]
 
 GAUSS = 5  # points of a stretch of beta
 
-_nodes, _weights = np.polynomial.legendre.leggauss(GAUSS)
+
+@lru_cache(maxsize=16)
+def gauss_points(count: int) -> np.ndarray:
+    """Gauss's rule on the unit interval: points and weights, (count, 2)."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return np.column_stack([0.5 + 0.5 * node, 0.5 * weight])
+
+
 _Points = wp.types.vector(length=GAUSS, dtype=wp.float64)
-_NODES = wp.constant(_Points(*(0.5 + 0.5 * _nodes).tolist()))
-_WEIGHTS = wp.constant(_Points(*(0.5 * _weights).tolist()))
+_NODES, _WEIGHTS = (wp.constant(_Points(*column)) for column in gauss_points(GAUSS).T.tolist())
 
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
@@ -39,7 +47,7 @@ _PI = wp.constant(wp.float64(3.141592653589793))
 
 @wp.func
 def gauss(i: wp.int32) -> wp.vec2d:
-    """Point i of Gauss's rule on the unit interval, and its weight."""
+    """One of `gauss_points(GAUSS)`."""
     return wp.vec2d(_NODES[i], _WEIGHTS[i])
 
 
@@ -283,7 +291,7 @@ def gloss(s: Surface, out: wp.vec3d, axis: wp.vec3d, cone: wp.float64, points: w
     cone : float64
         1 - cos of the half angle under which the sphere is seen; 2 inside it.
     points : array of vec2d
-        Gauss's rule on the unit interval, points and weights: rays of slopes between any two angles at which the
+        From `gauss_points`: rays of slopes between any two angles at which the
         integrand is not smooth. Every ray has GAUSS points for each dozen of rays.
     """
     rays = points.shape[0]
