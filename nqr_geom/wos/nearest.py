@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["BINS", "Nearest", "build", "join", "nearest", "nearest_rows"]
+__all__ = ["BINS", "Nearest", "build", "join", "nearest", "nearest_of_all", "nearest_rows"]
 
 BINS = 8  # parts of an edge that have their own local size
 
@@ -79,18 +79,25 @@ def nearest(edges, grid, shape, first, items, s, x, y):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
+def nearest_of_all(edges, shape, s, x, y):  # type: ignore[no-untyped-def]
+    """The same by asking every edge of polygon s: for points off its grid."""
+    best, at, where = np.inf, -1, 0.0
+    last = shape[s + 1, 3] if s + 1 < shape.shape[0] else edges.shape[0]
+    for e in range(shape[s, 3], last):
+        t, d = _to_edge(edges, e, x, y)
+        if d < best:
+            best, at, where = d, e, t
+    return at, where, best
+
+
+@njit(cache=True, nogil=True)
 def nearest_rows(edges, grid, shape, first, items, of, points, which, where, square):  # type: ignore[no-untyped-def]
     """`nearest` for points (m, 2), each on its polygon of[i]; points off the grid ask all edges."""
     for i in range(points.shape[0]):
         s, x, y = of[i], points[i, 0], points[i, 1]
         e, t, d = nearest(edges, grid, shape, first, items, s, x, y)
         if e < 0:
-            d = np.inf
-            last = shape[s + 1, 3] if s + 1 < shape.shape[0] else edges.shape[0]
-            for k in range(shape[s, 3], last):
-                tk, dk = _to_edge(edges, k, x, y)
-                if dk < d:
-                    e, t, d = k, tk, dk
+            e, t, d = nearest_of_all(edges, shape, s, x, y)
         which[i], where[i], square[i] = e, t, d
 
 

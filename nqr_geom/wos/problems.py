@@ -15,7 +15,8 @@ from torch import Tensor
 
 from nqr_geom import check
 from nqr_geom.curves._rows import over_rows
-from nqr_geom.integrator.problem import Feature, Observation, Schema, WalkProblem
+from nqr_geom.integrator.problem import Feature, Observation, Schema, WalkProblem, Whole
+from nqr_geom.streams import Stream
 from nqr_geom.wos.boundary import solve
 from nqr_geom.wos.domain import Boundary, Domain
 from nqr_geom.wos.families import polygons, queries
@@ -200,7 +201,7 @@ class LaplaceProblem(WalkProblem):
     def _closest(self, state: WalkState) -> tuple[Tensor, Tensor, Tensor]:
         """The closest boundary point (B, N, 2) of each walk's position, its arc length and its value, (B, N)."""
         edge, t = state.edge.numpy(), state.t.numpy()
-        arc = self._arcs[edge, 0] + t * self._arcs[edge, 1]
+        arc = self.arcs[edge, 0] + t * self.arcs[edge, 1]
         return self.corner(state), torch.from_numpy(arc), torch.from_numpy(self._values(edge, t))
 
     def corner(self, state: WalkState) -> Tensor:
@@ -209,7 +210,7 @@ class LaplaceProblem(WalkProblem):
         return torch.from_numpy(edges[..., :2] + state.t.numpy()[..., None] * edges[..., 2:4])
 
     @cached_property
-    def _arcs(self) -> NDArray[np.float64]:
+    def arcs(self) -> NDArray[np.float64]:
         """Arc length at the start of every edge of `geometry`, and its length, (E, 2)."""
         return np.concatenate([np.column_stack([b.domain.arc, b.domain.lengths]) for b in self.boundaries])
 
@@ -222,7 +223,7 @@ class LaplaceProblem(WalkProblem):
             value[low:high] = self.boundaries[k].at(edge[low:high] - first[k], t[low:high])
         return value
 
-    def _loops(self) -> Tensor:
+    def loops(self) -> Tensor:
         """Arc length at the end of each loop of each query's domain, (B, L); a domain with fewer repeats its last."""
         ends = [np.flatnonzero(np.diff(b.domain.loop, append=-1)) for b in self.boundaries]
         arcs = [b.domain.arc[end] + b.domain.lengths[end] for b, end in zip(self.boundaries, ends, strict=True)]
@@ -251,9 +252,7 @@ class LaplaceProblem(WalkProblem):
 
     def evaluate(self, x: Tensor) -> Observation:
         """Walk all steps in one compiled pass: the same as step by step, to rounding."""
-        walks = record(
-            self.geometry, self._arcs, self.shape.numpy(), self.points.numpy(), x.cpu().numpy(), self.epsilon
-        )
+        walks = record(self.geometry, self.arcs, self.shape.numpy(), self.points.numpy(), x.cpu().numpy(), self.epsilon)
         value = self._values(walks.edge, walks.t)
         walks.steps[..., VALUE] = value[..., :-1] * walks.steps[..., ALIVE]
         batch, n = x.shape[:2]
@@ -262,7 +261,7 @@ class LaplaceProblem(WalkProblem):
             "length": torch.from_numpy(walks.made).double()[:, :, None, None],
             "finished": torch.from_numpy(~walks.alive).long()[:, :, None, None],
             "end": torch.from_numpy(walks.end)[:, :, None],
-            "loops": self._loops()[:, None, None].expand(-1, n, -1, -1),
+            "loops": self.loops()[:, None, None].expand(-1, n, -1, -1),
         }
         last = torch.from_numpy(np.ascontiguousarray(value[..., -1]))
         return Observation(last[:, :, None, None], features, None, None, int(walks.made.sum()), _outcomes(walks.alive))
@@ -285,14 +284,14 @@ class LaplaceProblem(WalkProblem):
 
     def rank(self, state: WalkState) -> Tensor:
         """Arc length of the closest boundary point; walks that have ended come last."""
-        arc = torch.from_numpy(self._arcs[state.edge.numpy(), 0] + state.t.numpy() * self._arcs[state.edge.numpy(), 1])
+        arc = torch.from_numpy(self.arcs[state.edge.numpy(), 0] + state.t.numpy() * self.arcs[state.edge.numpy(), 1])
         return torch.where(state.alive, arc, math.inf)
 
     def finish(self, state: WalkState) -> Observation:
         """Boundary value closest to each walk's last position, and the walk."""
         corner, arc, value = self._closest(state)
         end = torch.cat([corner - self.points[:, None], state.distance[..., None], arc[..., None]], dim=-1)
-        loops = self._loops()[:, None, None].expand(-1, state.edge.shape[1], -1, -1)
+        loops = self.loops()[:, None, None].expand(-1, state.edge.shape[1], -1, -1)
         features = {
             "steps": torch.cat(state.history, dim=-1)[:, :, None],
             "length": state.steps.double()[:, :, None, None],
@@ -305,6 +304,11 @@ class LaplaceProblem(WalkProblem):
 
     def take(self, index: slice | Tensor) -> LaplaceProblem:
         return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index])
+
+    def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
+        from nqr_geom.wos.fused import whole_of
+
+        return whole_of(self, sampler, rule, n)
 
     def reference(self) -> NDArray[np.float64]:
         """The solution of the equation to about 1e-9 of the spread of the boundary values, (B, 1)."""

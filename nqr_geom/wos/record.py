@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
-from nqr_geom.wos.nearest import BINS, Nearest, nearest, nearest_rows
+from nqr_geom.wos.nearest import BINS, Nearest, nearest, nearest_of_all
 
 __all__ = ["ALIVE", "SEEN", "VALUE", "Record", "record"]
 
@@ -54,8 +54,6 @@ def _rows(  # type: ignore[no-untyped-def]
 ):
     """Walks low .. high of all B times N."""
     n, most = x.shape[1], x.shape[2]
-    one = np.empty((1, 2))
-    oneof, e1, t1, d1 = np.empty(1, np.int64), np.empty(1, np.int64), np.empty(1), np.empty(1)
     for k in range(low, high):
         i, w = k // n, k % n
         s = of[i]
@@ -65,9 +63,7 @@ def _rows(  # type: ignore[no-untyped-def]
         for j in range(most + 1):
             e, where, square = nearest(edges, grid, shape, first, items, s, px, py)
             if e < 0:  # off the grid, by rounding: ask all edges
-                one[0, 0], one[0, 1], oneof[0] = px, py, s
-                nearest_rows(edges, grid, shape, first, items, oneof, one, e1, t1, d1)
-                e, where, square = e1[0], t1[0], d1[0]
+                e, where, square = nearest_of_all(edges, shape, s, px, py)
             cx, cy = edges[e, 0] + where * edges[e, 2], edges[e, 1] + where * edges[e, 3]
             radius = math.sqrt(square)
             length = arc[e, 0] + where * arc[e, 1]

@@ -13,8 +13,8 @@ from torch import Tensor
 from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.learn.steps import Look, Walks
 from nqr_geom.integrator.problem import Observation, WalkProblem
+from nqr_geom.wos.explore import AVOID, UNIFORM, directions, table_of
 from nqr_geom.wos.problems import LaplaceProblem, WalkState
-from nqr_geom.wos.spread import AVOID, UNIFORM, directions
 
 __all__ = ["LaplaceWalks"]
 
@@ -22,13 +22,14 @@ _TURN = 2.0 * math.pi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ahead(place, radius, turn, open_, ends, count, low, high, result):  # type: ignore[no-untyped-def]
+def _ahead(place, radius, towards, open_, ends, count, table, low, high, result):  # type: ignore[no-untyped-def]
     """Logarithms of what `directions` tells, for rows low .. high."""
     bins = result.shape[1]
     seen, near = np.empty(bins), np.empty(bins)
     for i in range(low, high):
         if open_[i] and count > 0:
-            directions(place[i, 0], place[i, 1], radius[i], _TURN * turn[i], ends[i], count, seen, near)
+            px, py, ux, uy = place[i, 0], place[i, 1], towards[i, 0], towards[i, 1]
+            directions(px, py, radius[i], ux, uy, ends[i], count, table, seen, near)
             for b in range(bins):
                 result[i, b, 1], result[i, b, 2] = math.log1p(seen[b]), math.log(near[b])
 
@@ -39,7 +40,7 @@ class LaplaceWalks(Walks):
     Nothing depends on the place, the size or the direction of the domain, nor on its boundary values: where to look
     is a question of geometry, since the answer is linear in the values. Of each direction it is known how many walks
     began there (at the first step), how many ends lie there, and how far from the landing place the nearest end is; the
-    walks of the untrained network are those of `WalkSpread`, and as there one in four is uniform.
+    walks of the untrained network are those of `WalkSpread(smallest=0, rim=0)`, and as there one in four is uniform.
 
     Parameters
     ----------
@@ -63,7 +64,8 @@ class LaplaceWalks(Walks):
         super().__init__(problem, n, bins)
         self.laplace = problem
         self.started = torch.zeros(problem.batch, bins)
-        self.ends = np.zeros((problem.batch, n, 2))
+        self.ends = np.zeros((problem.batch, 2, n))
+        self.table = table_of(bins)
         self.count = 0
 
     def look(self, state: WalkState, step: int) -> Look:
@@ -88,11 +90,12 @@ class LaplaceWalks(Walks):
         ]
         seen = torch.where(open_[:, None], torch.cat(parts, dim=1), 0.0).float()
         turn = torch.atan2(towards[:, 1], towards[:, 0]) / _TURN
-        return Look(seen, self._ahead(place - query, state.distance[:, 0], turn, open_, step), turn, open_)
+        return Look(seen, self._ahead(place - query, state.distance[:, 0], direction, open_, step), turn, open_)
 
-    def _ahead(self, place: Tensor, radius: Tensor, turn: Tensor, open_: Tensor, step: int) -> Tensor:
+    def _ahead(self, place: Tensor, radius: Tensor, towards: Tensor, open_: Tensor, step: int) -> Tensor:
         result = np.zeros((len(place), self.bins, len(self.base)), dtype=np.float32)
-        given: tuple[Any, ...] = (*(a.numpy() for a in (place, radius, turn, open_)), self.ends, self.count)
+        where = (tensor.numpy() for tensor in (place, radius, towards, open_))
+        given: tuple[Any, ...] = (*where, self.ends, self.count, self.table)
         rows: Any = _ahead
         over_rows(lambda low, high: rows(*given, low, high, result), len(place))
         ahead = torch.from_numpy(result)
@@ -106,7 +109,7 @@ class LaplaceWalks(Walks):
     def note(self, bins: Tensor, seen: Observation) -> None:
         first = bins[:, :1]
         self.started.scatter_add_(1, first, torch.ones_like(first, dtype=self.started.dtype))
-        self.ends[:, self.count] = seen.features["end"][:, 0, 0, :2].numpy()
+        self.ends[:, :, self.count] = seen.features["end"][:, 0, 0, :2].numpy()
         self.count += 1
 
 

@@ -11,6 +11,7 @@ how the walks are distributed, so they may be as well spread as a sampler can ma
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -24,20 +25,14 @@ from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
-from nqr_geom.wos.harmonic import harmonic_measure
-from nqr_geom.wos.panels import panels_of
-from nqr_geom.wos.rebuild import parts_of, room
-from nqr_geom.wos.record import SEEN
+from nqr_geom.wos.average import average, room_for
+from nqr_geom.wos.explore import SEEN as NUMBERS
+from nqr_geom.wos.record import ALIVE, SEEN
 from nqr_geom.wos.tokens import boundary_values
 
 __all__ = ["Fit", "WalkFit", "fitted"]
 
 Floats = NDArray[np.float64]
-
-MOST_PANELS = 256
-_SAME = 1e-9  # arc lengths nearer than this, relative to all, are one sample
-_NEAREST = 1e-5  # no panel is shorter than this part of the farthest distance
-_REACH = 3.0  # the farthest part lies at 1/2 in the frame of the system times this, so that it is positive definite
 
 _kernel = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -64,104 +59,55 @@ class Fit(NamedTuple):
 
 
 @_kernel
-def _collected(steps, known, end, value, loops, seen):  # type: ignore[no-untyped-def]
-    """All closest points of a query's walks, unordered: arc length, x, y, value, way there; returns their number."""
-    count, total = 0, loops[-1]
+def _collected(steps, known, end, value, rim, seen):  # type: ignore[no-untyped-def]
+    """Closest points of a query's walks until each comes within the rim, as `explored` finds them; their number."""
+    count = 0
     for w in range(steps.shape[0]):
         for j in range(steps.shape[1] + 1):
             row = seen[count]
-            if j == steps.shape[1] or steps[w, j, 9] == 0.0:
+            count += j > 0 or w == 0  # all walks begin with the same point
+            if j == steps.shape[1] or steps[w, j, ALIVE] == 0.0:
                 row[0], row[1], row[2], row[3] = end[w, 3], end[w, 0], end[w, 1], value[w]
                 row[4] = row[5] = 0.0
-            else:
-                one = steps[w, j]
-                row[0], row[1], row[2], row[3] = one[3], one[5], one[6], known[w, j]
-                row[4], row[5] = one[0], one[1]
-            row[0] = min(max(row[0], 0.0), total)
-            keep = True
-            for k in range(len(loops) - 1):  # which of two loops a point between them belongs to cannot be told
-                keep &= abs(row[0] - loops[k]) > _SAME * total
-            count += keep
-            if j < steps.shape[1] and steps[w, j, 9] == 0.0:
+                break
+            one = steps[w, j]
+            row[0], row[1], row[2], row[3] = one[3], one[5], one[6], known[w, j]
+            row[4], row[5] = one[0], one[1]
+            if one[2] <= rim * math.sqrt(one[5] * one[5] + one[6] * one[6]):
                 break
     return count
 
 
 @_kernel
-def _sorted(seen, count, total, keys, ordered):  # type: ignore[no-untyped-def]
-    """Samples by rising arc length without repeats."""
-    # Arc length in 40 bits and the index below it: one array of integers to sort.
-    for k in range(count):
-        keys[k] = (np.int64(seen[k, 0] / total * 2.0**40) << 22) | k
-    keys[:count].sort()
-    kept = 0
-    for place in range(count):
-        k = keys[place] & 0x3FFFFF
-        if kept and seen[k, 0] - ordered[kept - 1, 0] <= _SAME * total:
-            here = ordered[kept - 1]  # of several ways the same one, in whatever order the walks came
-            unknown = here[4] == 0.0 and here[5] == 0.0
-            if (seen[k, 4] != 0.0 or seen[k, 5] != 0.0) and (
-                unknown or seen[k, 4] > here[4] or (seen[k, 4] == here[4] and seen[k, 5] > here[5])
-            ):
-                here[4], here[5] = seen[k, 4], seen[k, 5]
-            for axis in range(4):  # and of several places that are the same but for rounding
-                if seen[k, axis] != here[axis]:
-                    if seen[k, axis] < here[axis]:
-                        here[:4] = seen[k, :4]
-                    break
-            continue
-        ordered[kept] = seen[k]
-        kept += 1
-    return kept
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _fit_rows(  # type: ignore[no-untyped-def]
-    steps, known, end, value, loops, step, fade, least, low, high, answer, hidden, lost, size
+    steps, known, end, value, loops, rim, step, fade, least, low, high, answer, hidden, lost, size
 ):
     """Rows low .. high: geometry is the same for all boundary values, and so is the measure."""
     most = steps.shape[1] * (steps.shape[2] + 1)
-    seen, ordered, keys = np.empty((most, 6)), np.empty((most, 6)), np.empty(most, dtype=np.int64)
-    gap, chord, straight = np.empty(most), np.empty(most), np.empty(most, dtype=np.bool_)
-    parts, panels = np.empty((room(most), 7)), np.empty((MOST_PANELS, 6))
-    matrix, work, measure = np.empty((MOST_PANELS, MOST_PANELS)), np.empty((6, MOST_PANELS)), np.empty(MOST_PANELS)
+    seen, space = np.empty((most, NUMBERS)), room_for(most)
     for b in range(low, high):
         answer[b], hidden[b], lost[b], size[b] = np.nan, 1.0, np.inf, 0
         for c in range(value.shape[2]):
-            count = _collected(steps[b], known[b, :, c], end[b], value[b, :, c], loops[b], seen)
-            count = _sorted(seen, count, loops[b, -1], keys, ordered)
-            if count < 2:
+            count = _collected(steps[b], known[b, :, c], end[b], value[b, :, c], rim, seen)
+            found, guess, cut, m = average(seen, count, loops[b], step, fade, least, c > 0, size[b], space)
+            if m == 0:
                 break
-            made = parts_of(ordered[:count], loops[b], fade, gap, chord, straight, parts)
+            answer[b, c] = found
             if c == 0:
-                reach, near = 0.0, np.inf
-                for i in range(made):
-                    reach = max(reach, abs(parts[i, 0]), abs(parts[i, 1]))
-                    near = min(near, parts[i, 0] ** 2 + parts[i, 1] ** 2)
-                shortest = max(least * np.sqrt(near), _NEAREST * reach)
-            pace, m = step, -1
-            while m < 0:  # longer panels until there is room
-                m = panels_of(parts, made, 0.0, 0.0, shortest, pace, panels)
-                pace *= 1.5
-            if m < 2:
-                break
-            if c == 0:
-                lost[b] = harmonic_measure(panels[:m], 0.0, 0.0, 0.5 / (_REACH * reach), matrix, work, measure[:m])
-                if not lost[b] < np.inf:
-                    break
-                size[b] = m
-            # From the first value on, so that a constant stays that constant to the last bit.
-            level, total, guess = panels[0, 4], 0.0, 0.0
-            for j in range(m):
-                total += measure[j] * (panels[j, 4] - level)
-                guess += measure[j] * panels[j, 5]
-            answer[b, c] = level + total
-            if c == 0:
-                hidden[b] = guess
+                hidden[b], lost[b], size[b] = guess, cut, m
 
 
 def fitted(
-    steps: Floats, known: Floats, end: Floats, value: Floats, loops: Floats, *, step: float, fade: float, least: float
+    steps: Floats,
+    known: Floats,
+    end: Floats,
+    value: Floats,
+    loops: Floats,
+    *,
+    rim: float,
+    step: float,
+    fade: float,
+    least: float,
 ) -> Fit:
     """The rule on arrays: what `LaplaceProblem` tells of (B, N) walks of D steps.
 
@@ -175,13 +121,13 @@ def fitted(
         Where walks ended, and the boundary values there.
     loops : (B, L) float64
         Arc length at the end of each loop.
-    step, fade, least : float
+    rim, step, fade, least : float
         See `WalkFit`.
     """
     batch = len(steps)
     result = Fit(np.empty((batch, value.shape[2])), np.empty(batch), np.empty(batch), np.empty(batch, dtype=np.int64))
     arrays = (np.ascontiguousarray(array) for array in (steps, known, end, value, loops))
-    inputs: tuple[Any, ...] = (*arrays, step, fade, least)
+    inputs: tuple[Any, ...] = (*arrays, rim, step, fade, least)
     rows: Any = _fit_rows
     over_rows(lambda i, j: rows(*inputs, i, j, *result), batch)
     return result
@@ -202,6 +148,9 @@ class WalkFit(Rule):
     doubt : float
         Where more measure than this had to be cut off below zero, the mean of the walks in uniform directions is given
         instead, and flagged.
+    rim : float
+        Of a walk counts what it saw until the boundary was nearer to it than this times the distance between query and
+        boundary there: what comes later lies in one place as the query sees it.
 
     References
     ----------
@@ -223,6 +172,7 @@ class WalkFit(Rule):
     fade: float = 0.07
     least: float = 0.5
     doubt: float = 0.2
+    rim: float = 0.02
 
     name = "walk-fit"
 
@@ -233,7 +183,7 @@ class WalkFit(Rule):
         end, loops = samples.feature("end", self.name)[:, :, 0], samples.feature("loops", self.name)[:, 0, 0]
         value, known = samples.value[:, :, 0], boundary_values(samples)[:, :, 0]  # (B, N, C) and (B, N, C, D)
         arrays = (tensor.cpu().numpy() for tensor in (steps, known, end, value, loops))
-        fit = fitted(*arrays, step=self.step, fade=self.fade, least=self.least)
+        fit = fitted(*arrays, rim=self.rim, step=self.step, fade=self.fade, least=self.least)
         plain = torch.from_numpy(~(fit.lost <= self.doubt)).to(value.device)
         weights, answer = _plain_weights(samples), torch.from_numpy(fit.value).to(value)
         # What to add to the plain mean: nothing where that is the answer.

@@ -35,7 +35,7 @@ def panels(polygon, each):
 def measure(ends, at, scale=0.2):
     m = len(ends)
     result = np.empty(m)
-    lost = harmonic_measure(ends, *at, scale, np.empty((m, m)), np.empty((6, m)), result)
+    lost = harmonic_measure(ends, *at, scale, np.empty((m, m)), np.empty((8, m)), result)
     return result, lost
 
 
