@@ -108,8 +108,8 @@ STUDIES: dict[str, Study] = {
     "laplace": Study(
         lambda less: with_reference(solved(LaplaceProblem.family(20 // less, SEED, points=96))),
         ("mc", "wos-lhs", "wos-rqmc"),
-        ("structured", "inet", "latin-hypercube+inet-laplace-uniform", "nqr"),
-        (8, 16, 32, 64),
+        ("structured", "latin-hypercube+walk-fit", "inet", "latin-hypercube+inet-laplace-uniform", "nqr"),
+        (4, 8, 16, 32, 64),
         plain=bare_walks,
     ),
     "transmittance": Study(
@@ -209,7 +209,7 @@ def draw(rows: list[Row]) -> None:
     names = list(dict.fromkeys(row["application"] for row in rows))
     columns = min(3, len(names))
     lines = -(-len(names) // columns)
-    whole = figure(4.6 * columns, 3.9 * lines)
+    whole = figure(4.6 * columns, 4.3 * lines)
     for k, name in enumerate(names):
         panel = whole.add_subplot(lines, columns, k + 1)
         curves = [row for row in rows if row["application"] == name and row["kind"] == "curve"]
@@ -223,7 +223,7 @@ def draw(rows: list[Row]) -> None:
         panel.set(xscale="log", yscale="log", title=name)
         panel.set(xlabel="processor microseconds an integral", ylabel="mean squared error")
         panel.grid(alpha=0.3)
-        panel.legend(fontsize=6)
+        panel.legend(fontsize=6, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
     save(whole, DOCS / "equal-time.png")
 
 
