@@ -20,7 +20,7 @@ from torch import Tensor
 from nqr_geom import check
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
 from nqr_geom.curves.shapes import BlackBoxShape, PackedShapes, Shapes
-from nqr_geom.curves.structured import CurveRefine, GwnHermite
+from nqr_geom.curves.structured import CurveRefine, GwnHermite, SdHermite, scaled
 from nqr_geom.integrator.problem import Feature, Link, LogLink, Observation, Problem, Samples, Schema, Whole
 from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.integrator.samplers import Random, Stratified
@@ -323,6 +323,43 @@ class SdProblem(CurveProblem):
         value = torch.exp(-self.alpha * (distance - shift)) * samples.seen.features["speed"][..., 0, 0]
         seen = replace(samples.seen, value=value[:, :, None, None])
         return replace(samples, seen=seen), LogLink(alpha=self.alpha, shift=shift)
+
+    def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
+        """Plain Monte Carlo and the rebuilt curve, for polynomial pieces on a CPU."""
+        shapes = self.shapes
+        if not isinstance(shapes, PackedShapes) or self.points.device.type != "cpu":
+            return None
+        refine = sampler if isinstance(sampler, CurveRefine) else None
+        if type(rule) not in (MonteCarlo, SdHermite) or type(sampler) not in (Random, Stratified, CurveRefine):
+            return None
+        if refine is not None and (type(rule) is MonteCarlo or n < 2 * int(shapes.pieces.max())):
+            return None
+
+        def whole(stream: Stream) -> Whole:
+            from nqr_geom.curves import compiled_smooth
+
+            c, k, shape, points, rows = (
+                t.numpy() for t in (shapes.coefficients, shapes.pieces, self.shape, self.points, self.rows)
+            )
+            queries, jittered = self.batch * n * shapes.queries_per_sample, type(sampler) is Stratified
+            if type(rule) is MonteCarlo:
+                of, near = compiled_smooth.sampled(c, k, shape, points, rows, stream.key, n, jittered, self.alpha)
+                mean, m2, m3, m4 = torch.from_numpy(of)[..., None]
+                link = LogLink(alpha=self.alpha, shift=torch.from_numpy(near)[:, None])
+                nowhere = torch.zeros(self.batch, dtype=torch.bool)
+                if jittered or n == 1:
+                    return Whole(mean, nowhere, queries, link=link)
+                return Whole(mean, nowhere, queries, m2, link, m3=m3, m4=m4)
+            found = compiled_smooth.rebuilt(
+                c, k, shape, points, rows, stream.key, n,
+                refine=refine is not None, jittered=jittered, spread=refine.spread if refine else 0.0,
+                end=refine.end if refine else 0.0, alpha=self.alpha,
+            )  # fmt: skip
+            exponent, total, shift, missing = map(torch.from_numpy, found)
+            value, own, lost = scaled(exponent, total, torch.full_like(shift, self.alpha), shift)
+            return Whole(value, missing | lost, queries, link=own)
+
+        return whole
 
     def _reference(self) -> NDArray[np.float64]:
         from nqr_geom.curves.smooth import sd

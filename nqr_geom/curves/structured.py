@@ -16,7 +16,7 @@ from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.samplers import Sampler, Stratified
 from nqr_geom.streams import Stream
 
-__all__ = ["CurveRefine", "GwnHermite", "SdHermite"]
+__all__ = ["CurveRefine", "GwnHermite", "SdHermite", "scaled"]
 
 _LARGEST_EXPONENT = 600.0
 _END = 1e-10  # how far inside its piece an end is asked, as a part of the piece
@@ -49,14 +49,21 @@ class SdHermite(Rule):
         segments = hermite.reconstruct(samples, self.name)
         alpha = samples.feature("alpha", self.name)[:, 0, 0, 0]
         shift = samples.feature("distance2", self.name)[..., 0, 0].sqrt().amin(dim=1)
-        exponent, total = hermite.log_integral(segments, alpha, shift)
-        # Usually the scale is that of the values. Where the curve comes so much closer than every sample that the
-        # integral would overflow, or has no length, the answer brings a scale of its own.
-        extreme = (exponent > _LARGEST_EXPONENT) | (total <= 0.0)
-        own = torch.where(extreme & (total > 0.0), exponent, 0.0)
-        value = torch.where(total > 0.0, total * torch.exp(torch.where(extreme, 0.0, exponent)), 1.0)
-        link = LogLink(alpha=alpha[:, None], shift=(shift - own / alpha)[:, None])
-        return Combination(samples.x.new_zeros(1, 1, 1, 1), value[:, None], segments.missing | (total <= 0.0), link)
+        value, link, lost = scaled(*hermite.log_integral(segments, alpha, shift), alpha, shift)
+        return Combination(samples.x.new_zeros(1, 1, 1, 1), value, segments.missing | lost, link)
+
+
+def scaled(exponent: Tensor, total: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, LogLink, Tensor]:
+    """The integral (B, 1) exp(exponent) times total, its link, and where it has no length, (B,) bool.
+
+    Usually the scale is that of the values. Where the curve comes so much closer than every sample that the integral
+    would overflow, or has no length, the answer brings a scale of its own.
+    """
+    lost = total <= 0.0
+    extreme = (exponent > _LARGEST_EXPONENT) | lost
+    own = torch.where(extreme & ~lost, exponent, 0.0)
+    value = torch.where(lost, 1.0, total * torch.exp(torch.where(extreme, 0.0, exponent)))
+    return value[:, None], LogLink(alpha=alpha[:, None], shift=(shift - own / alpha)[:, None]), lost
 
 
 @dataclass(frozen=True)

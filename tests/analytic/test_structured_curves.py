@@ -33,6 +33,16 @@ def lissajous(s: np.ndarray) -> np.ndarray:
     return 0.8 * np.stack([np.sin(6.0 * np.pi * s + 0.5), np.sin(8.0 * np.pi * s)], axis=-1)
 
 
+@pytest.mark.parametrize(("alpha", "least"), [(0.5, 1e-12), (35.0, 1e-9), (4000.0, 1e-5)])
+def test_smoothed_distances_of_quadratics_with_cusps(alpha: float, least: float) -> None:
+    """Any three points make a quadratic, most of them with a sharp turn where the speed all but vanishes."""
+    p = np.random.default_rng(0).uniform(-1, 1, (6, 3, 2))
+    curve = ng.Curve.bezier(np.stack([p[:, 0], (p[:, 0] + 2 * p[:, 1]) / 3, (p[:, 2] + 2 * p[:, 1]) / 3, p[:, 2]], 1))
+    points = grid(20, 1.2)
+    found = ng.sd(curve, points, alpha=alpha, method="structured", n=32)
+    assert alpha * np.abs(found - ng.sd(curve, points, alpha=alpha)).max() < least  # of the integral, relative
+
+
 def test_black_box_quadratics_are_exact_and_failures_are_flagged() -> None:
     points = grid(32)
     wrong, total = 0, 0

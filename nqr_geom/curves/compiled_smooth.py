@@ -1,0 +1,241 @@
+"""Smoothed distances in one compiled pass, for polynomial pieces on a CPU: plain Monte Carlo and the rebuilt curve.
+
+The same points, formulas and answers (to rounding) as `samplers`, `structured` and `hermite`, which stay the reference.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from nqr_geom.curves._rows import over_rows
+from nqr_geom.curves.compiled import Floats, Ints, _at, _place, _reach, _sort
+from nqr_geom.integrator.samplers import gauss_legendre
+from nqr_geom.keyed import mixed, unit, unsigned
+
+__all__ = ["rebuilt", "sampled"]
+
+_TINY = 1e-280
+_SHORTEST = 1e-300
+_LEVELS = 60  # as in `hermite`, as all that follows
+_SPREAD = 3.0
+_UNSEEN = 45.0
+_KINK = 1e-5
+_NODES, _WEIGHTS = gauss_legendre(8)
+
+_inline = njit(inline="always", error_model="numpy")
+_function = njit(error_model="numpy")
+_kernel = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_function
+def _points(row, n, jittered, s):  # type: ignore[no-untyped-def]
+    """Random points, or one in each of n equal cells."""
+    for i in range(n):
+        u = unit(mixed(mixed(row, i), 0))
+        s[i] = (i + u) / n if jittered else u
+
+
+@_kernel
+def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, alpha, moments, nearest, start, stop):  # type: ignore[no-untyped-def]
+    s, distance, speed = np.empty(n), np.empty(n), np.empty(n)
+    for b in range(start, stop):
+        c, k = coefficients[shape[b]], pieces[shape[b]]
+        px, py = points[b, 0], points[b, 1]
+        _points(mixed(key, rows[b]), n, jittered, s)
+        shift = np.inf
+        for i in range(n):
+            x, y, tx, ty, _ = _at(c, k, s[i])
+            x -= px
+            y -= py
+            distance[i], speed[i] = math.sqrt(max(x * x + y * y, _TINY)), math.sqrt(tx * tx + ty * ty)
+            shift = min(shift, distance[i])
+        total, squares, cubes, fourths = 0.0, 0.0, 0.0, 0.0
+        for i in range(n):
+            f = math.exp(-alpha * (distance[i] - shift)) * speed[i]
+            step = f - total
+            part = step / (i + 1)
+            total += part
+            spread = step * (f - total)
+            # Higher moments before the second is brought up to date (Pebay 2008).
+            fourths += part * (part * (spread * (i * i - i + 1) + 6.0 * squares) - 4.0 * cubes)
+            cubes += part * (spread * (i - 1) - 3.0 * squares)
+            squares += spread
+        moments[0, b], moments[1, b], moments[2, b], moments[3, b] = total, squares, cubes, fourths
+        nearest[b] = shift
+
+
+def sampled(
+    coefficients: Floats,
+    pieces: Ints,
+    shape: Ints,
+    points: Floats,
+    rows: Ints,
+    key: int,
+    n: int,
+    jittered: bool,
+    alpha: float,
+) -> tuple[Floats, Floats]:
+    """Plain Monte Carlo on random or jittered points: mean and sums of powers 2 to 4 of the deviations, (4, B).
+
+    Parameters are those of `compiled.sampled`, and the sharpness. What is averaged has the distance of the nearest
+    sample taken out, which comes too, (B,).
+    """
+    moments, nearest = np.empty((4, len(points))), np.empty(len(points))
+    fixed = (coefficients, pieces, shape, points, rows, unsigned(key), n, jittered, alpha, moments, nearest)
+    over_rows(lambda start, stop: _sample_rows(*fixed, start, stop), len(points))
+    return moments, nearest
+
+
+@_inline
+def _length(x, y):  # type: ignore[no-untyped-def]
+    return math.sqrt(x * x + y * y)
+
+
+@_inline
+def _square(x, y):  # type: ignore[no-untyped-def]
+    return x * x + y * y
+
+
+@_function
+def _add(q, alpha, shift, so_far, stack, levels):  # type: ignore[no-untyped-def]
+    """One cubic's part of the integral: `hermite.log_integral` on a stack.
+
+    `so_far` holds the distance of the closest point that has been seen, the largest exponent, and the sum over it.
+    """
+    stack[0] = q
+    levels[0] = 0
+    top = 1
+    while top > 0:
+        top -= 1
+        x0, y0, x1, y1, x2, y2, x3, y3 = stack[top]
+        level = levels[top]
+        first, last = _length(x0, y0), _length(x3, y3)
+        so_far[0] = min(so_far[0], first, last)
+        cx, cy = x3 - x0, y3 - y0
+        along = min(max(-(x0 * cx + y0 * cy) / max(cx * cx + cy * cy, _SHORTEST), 0.0), 1.0)
+        off = max(
+            _length(x1 - x0 - cx / 3.0, y1 - y0 - cy / 3.0),
+            _length(x2 - x0 - cx * (2.0 / 3.0), y2 - y0 - cy * (2.0 / 3.0)),
+        )
+        near = max(_length(x0 + along * cx, y0 + along * cy) - off, 0.0)
+        if alpha * (near - so_far[0]) >= _UNSEEN:
+            continue
+        behind = max(alpha * (near - shift), 0.0)
+        far = max(first, last) + off
+        ax, ay, bx, by, dx, dy = x1 - x0, y1 - y0, x2 - x1, y2 - y1, x3 - x2, y3 - y2
+        a, b, d = ax * ax + ay * ay, bx * bx + by * by, dx * dx + dy * dy
+        apart = max(_square(bx - ax, by - ay), _square(dx - bx, dy - by), _square(dx - ax, dy - ay))
+        even = apart <= 0.25 * min(a, b, d)
+        legs = math.sqrt(a) + math.sqrt(b) + math.sqrt(d)
+        sure = alpha * (far - near) <= _SPREAD * (1.0 + behind / 16.0) and (
+            (2.0 * legs <= near and even) or alpha * legs <= _KINK
+        )
+        if not sure and level < _LEVELS - 1:
+            ax, ay, bx, by, dx, dy = (
+                (x0 + x1) / 2.0, (y0 + y1) / 2.0, (x1 + x2) / 2.0, (y1 + y2) / 2.0, (x2 + x3) / 2.0, (y2 + y3) / 2.0,
+            )  # fmt: skip
+            ex, ey, fx, fy = (ax + bx) / 2.0, (ay + by) / 2.0, (bx + dx) / 2.0, (by + dy) / 2.0
+            mx, my = (ex + fx) / 2.0, (ey + fy) / 2.0
+            stack[top] = (mx, my, fx, fy, dx, dy, x3, y3)
+            stack[top + 1] = (x0, y0, ax, ay, ex, ey, mx, my)
+            levels[top] = levels[top + 1] = level + 1
+            top += 2
+            continue
+        for j in range(8):
+            u = _NODES[j]
+            v = 1.0 - u
+            a, b, c, d = v * v * v, 3.0 * u * v * v, 3.0 * u * u * v, u * u * u
+            distance = _length(a * x0 + b * x1 + c * x2 + d * x3, a * y0 + b * y1 + c * y2 + d * y3)
+            a, b, c = v * v, 2.0 * u * v, u * u
+            speed = 3.0 * _length(
+                a * (x1 - x0) + b * (x2 - x1) + c * (x3 - x2), a * (y1 - y0) + b * (y2 - y1) + c * (y3 - y2)
+            )
+            power = -alpha * (distance - shift)
+            if power > so_far[1]:
+                so_far[2] *= math.exp(so_far[1] - power)
+                so_far[1] = power
+            so_far[2] += math.exp(power - so_far[1]) * speed * _WEIGHTS[j]
+
+
+@_kernel
+def _rebuilt_rows(  # type: ignore[no-untyped-def]
+    coefficients, pieces, shape, points, rows, key, n, refine, jittered, spread, end, alpha, exponent, total, nearest,
+    missing, start, stop,
+):  # fmt: skip
+    s, r, t = np.empty(n), np.empty((n, 2)), np.empty((n, 2))
+    piece, left, right = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    gain, order = np.empty(n), np.empty(n, np.int64)
+    stack, levels = np.empty((_LEVELS + 4, 8)), np.empty(_LEVELS + 4, np.int64)
+    so_far = np.empty(3)
+    for b in range(start, stop):
+        c, k = coefficients[shape[b]], pieces[shape[b]]
+        px, py, row = points[b, 0], points[b, 1], mixed(key, rows[b])
+        if refine:
+            _place(c, k, px, py, row, n, spread, end, s, r, t, piece, left, right, gain)
+        else:
+            _points(row, n, jittered, s)
+            for i in range(n):
+                x, y, t[i, 0], t[i, 1], piece[i] = _at(c, k, s[i])
+                r[i, 0], r[i, 1] = x - px, y - py
+        _sort(s, order)
+        shift = np.inf
+        for i in range(n):
+            shift = min(shift, math.sqrt(max(r[i, 0] * r[i, 0] + r[i, 1] * r[i, 1], _TINY)))
+        so_far[0], so_far[1], so_far[2] = shift, -np.inf, 0.0
+        run, seen = 0, 0
+        for g in range(n):
+            i = order[g]
+            first = g == 0 or piece[order[g - 1]] != piece[i]
+            last = g == n - 1 or piece[order[g + 1]] != piece[i]
+            after = not last and s[order[g + 1]] > s[i]
+            low, high = piece[i] / k, (piece[i] + 1) / k
+            run = 1 if first else run + 1
+            if first and s[i] > low:
+                _add(_reach(s, r, t, i, order[g + 1] if after else -1, low), alpha, shift, so_far, stack, levels)
+            if after:
+                j = order[g + 1]
+                third = (s[j] - s[i]) / 3.0
+                q = (
+                    r[i, 0], r[i, 1], r[i, 0] + third * t[i, 0], r[i, 1] + third * t[i, 1],
+                    r[j, 0] - third * t[j, 0], r[j, 1] - third * t[j, 1], r[j, 0], r[j, 1],
+                )  # fmt: skip
+                _add(q, alpha, shift, so_far, stack, levels)
+            if last:
+                if s[i] < high:
+                    before = not first and s[i] > s[order[g - 1]]
+                    _add(_reach(s, r, t, i, order[g - 1] if before else -1, high), alpha, shift, so_far, stack, levels)
+                seen += run >= 2
+        exponent[b], total[b], nearest[b], missing[b] = so_far[1], so_far[2], shift, seen < k
+
+
+def rebuilt(
+    coefficients: Floats,
+    pieces: Ints,
+    shape: Ints,
+    points: Floats,
+    rows: Ints,
+    key: int,
+    n: int,
+    *,
+    refine: bool,
+    jittered: bool,
+    spread: float,
+    end: float,
+    alpha: float,
+) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    """The integral over the curve rebuilt from n samples: exponent, sum, distance of the nearest sample, and where a
+    piece was not seen, (B,) each.
+
+    Parameters are those of `compiled.refined`, the sharpness, and whether points are those of `CurveRefine`, or else
+    `jittered` or random. For the first every shape must have at most n / 2 pieces.
+    """
+    exponent, total, nearest = (np.empty(len(points)) for _ in range(3))
+    missing = np.empty(len(points), dtype=np.bool_)
+    fixed = (coefficients, pieces, shape, points, rows, unsigned(key), n, refine, jittered, spread, end, alpha)
+    out = (exponent, total, nearest, missing)
+    over_rows(lambda start, stop: _rebuilt_rows(*fixed, *out, start, stop), len(points))
+    return out
