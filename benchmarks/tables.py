@@ -202,11 +202,12 @@ def images(rows: list[Row]) -> str:
 
 def nonlinear(rows: list[Row]) -> str:
     """How much better than the exact solution for p = 2, which is what walks can give without a network."""
+    which, title = ("p", "p") if "p" in rows[0] else ("polygons", "p = 3: polygons")
     return markdown(
-        ["p = 3: polygons", "samples", "rule", "mean squared error", "median", "99%", "x exact p = 2", "95%"],
+        [title, "samples", "rule", "mean squared error", "median", "99%", "x exact p = 2", "95%"],
         [
             [
-                *(row[key] for key in ("polygons", "design", "rule")),
+                *(str(row[key]) for key in (which, "design", "rule")),
                 *(short(row[key]) for key in ("mse", "median", "p99", "ratio")),
                 interval(row),
             ]
@@ -255,6 +256,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ),
     ("walk_strategy", "Figs. 34 and 35: where walks go and what their ends weigh", layouts_walks.strategy),
     ("p_walks", "Fig. 50: p = 3 from walks", nonlinear),
+    ("p_range", "p from 1.5 to 6 from walks, one network", nonlinear),
     ("p_fields", "Fig. 50, the picture: p = 3 on three polygons", layouts_walks.nonlinear),
     ("fem_orders", "p-Laplacian by finite elements", orders),
     ("toy_calibration", "How close the toy family is to the paper's", calibration),

@@ -23,7 +23,8 @@ METHODS = ("fem", "inet")
 _TRIANGLES = 8000
 _COARSEST, _FINEST = 800, 400_000
 _LEARNED_P = 3.0
-_LEARNED = ("walk-spread", "inet-p-laplace")
+_LEARNED = "inet-p-laplace"
+_LEARNED_RANGE = (1.5, 6.0)  # of another network, for exponents that differ
 
 
 def solve_p_laplace(
@@ -55,7 +56,8 @@ def solve_p_laplace(
         Greater than 1; p = 2 is Laplace's equation.
     method : {"fem", "inet"}
         "fem": finite elements with Newton's method and continuation in p. "inet": `n` walks on spheres of at most 12
-        steps from every point, weighed by a network that is trained for p = 3 on answers of finite elements; no mesh.
+        steps from every point, weighed by a network that is trained on answers of finite elements, one for p = 3 and
+        one for p from 1.5 to 6; no mesh.
     n : int
         Walks a query of methods that walk; finite elements need none. The network is trained on 32.
     tol : float, optional
@@ -168,19 +170,23 @@ def _by_network(
     outside: str,
     seed: int,
 ) -> Estimate:
-    """Walks from the points inside, weighed by the network for p = 3; NaN outside."""
+    """Walks from the points inside, weighed by the network for p = 3 or by that for others; NaN outside."""
     from nqr_geom.pde import by_rule, inside_of, scattered
     from nqr_geom.wos.domain import Domain
 
-    if check.number("p", p, low=1.0, open_low=True) != _LEARNED_P:
-        raise ValueError(f"p: expected {_LEARNED_P:g} with method 'inet', which is trained for it, got {p!r}")
+    low, high = _LEARNED_RANGE
+    p = check.number("p", p, low=1.0, open_low=True)
+    if not low <= p <= high:
+        raise ValueError(f"p: expected {low:g} to {high:g} with method 'inet', which is trained for them, got {p!r}")
     if tol is not None:
         raise ValueError(f"tol: expected None with method 'inet', whose error is the network's, got {tol!r}")
     domain = Domain.of(polygon)
     framed, inside = inside_of(domain, points, outside)
     walks: dict[str, Any] = {"n": n, "max_steps": 12, "epsilon": 1e-3, "seed": seed}
-    found = by_rule(domain.boundary(boundary), framed[inside], np.flatnonzero(inside), *_LEARNED, **walks)
-    plan = {**found.plan, "problem": "p-laplace", "method": "inet", "p": _LEARNED_P}
+    rule = _LEARNED if p == _LEARNED_P else f"{_LEARNED}-range"
+    inner = (domain.boundary(boundary), framed[inside], np.flatnonzero(inside))
+    found = by_rule(*inner, "walk-spread", rule, **walks, p=None if p == _LEARNED_P else p)
+    plan = {**found.plan, "problem": "p-laplace", "method": "inet", "p": p}
     return scattered(replace(found, plan=plan), inside)
 
 

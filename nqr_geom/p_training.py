@@ -1,4 +1,4 @@
-"""p-harmonic functions on random polygons with their answers, in batches: what a network for p = 3 learns from.
+"""p-harmonic functions on random polygons with their answers, in batches: what networks for p = 3 or any p learn from.
 
 Walks, polygons and queries are those of `nqr_geom.wos.training`; the answers come from finite elements. The equation is
 not linear, so each polygon is seen with its own boundary values or their negatives, and tokens hold the values: from
@@ -27,15 +27,18 @@ from nqr_geom.wos.domain import Boundary
 from nqr_geom.wos.families import polygons
 from nqr_geom.wos.kept import kept
 from nqr_geom.wos.record import ALIVE, VALUE
-from nqr_geom.wos.tokens import WALK_TOKENS, boundary_values
+from nqr_geom.wos.tokens import WALK_TOKENS, boundary_values, reach
 from nqr_geom.wos.training import BLOCK, QUERIES, ManyPolygons, pool
 
-__all__ = ["P_TOKENS", "P", "p_laplace_batch"]
+__all__ = ["P_RANGE", "P_RANGE_TOKENS", "P_TOKENS", "P", "p_laplace_batch", "p_range_batch"]
 
 P = 3.0
+P_RANGE = (1.5, 6.0)
 
 SHAPES = {"train": 256, "validation": 64, "test": 64}
-_TRIANGLES = 120  # refined at the corners; the squared error is some 1e-8
+_TRIANGLES = 120  # refined at the corners; the squared error is some 1e-7
+_FINER = 400  # for other exponents, of which some bend their solutions more
+_EXPONENTS = 2  # of a polygon
 _CENTRED = TokenConfig(centred=True)
 
 
@@ -47,9 +50,12 @@ class ValuedPolygons(ManyPolygons):
     ----------
     ends : (2 E, 2) float64
         Values at both ends of every edge.
+    p : Tensor, (B,), optional
+        Exponent of each query, where a network is to see it.
     """
 
     ends: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    p: Tensor | None = None
 
     name = "p-laplace"
 
@@ -59,13 +65,19 @@ class ValuedPolygons(ManyPolygons):
         a, b = np.moveaxis(self.ends[walks.edge + (flipped * len(self.arcs))[:, None, None]], -1, 0)
         value = a * (1.0 - walks.t) + b * walks.t
         walks.steps[..., VALUE] = value[..., :-1] * walks.steps[..., ALIVE]
+        if self.p is not None:
+            features["p"] = self.p[:, None, None, None].expand(-1, x.shape[1], -1, -1)
         last = torch.from_numpy(np.ascontiguousarray(value[..., -1]))
         return Observation(last[:, :, None, None], features, queries=int(walks.made.sum()))
 
+    def take(self, index: slice | Tensor) -> ValuedPolygons:
+        p = None if self.p is None else self.p[index]
+        return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index], p=p)
+
 
 @lru_cache(maxsize=4)
-def solved(split: str, seed: int) -> tuple[ValuedPolygons, Tensor]:
-    """All queries of the polygons of a split, and their answers (S Q,)."""
+def solved(split: str, seed: int, exponents: tuple[float, ...] | None = None) -> tuple[ValuedPolygons, Tensor]:
+    """All queries of the polygons of a split, and their answers (S Q,) for p = 3 or for other exponents (S,)."""
     count, found = SHAPES[split], pool(split, seed).problem
     vertices, values = polygons(count, seed, split)
     points = found.points.unflatten(0, (-1, QUERIES)).numpy()
@@ -74,11 +86,15 @@ def solved(split: str, seed: int) -> tuple[ValuedPolygons, Tensor]:
         answers = []
         for k in range(first, first + BLOCK):
             inside = found.boundaries[k].domain.from_frame(points[k])
-            answers.append(p_laplace(Mesh.of(vertices[k], _TRIANGLES, order=2), values[k], P, order=2)(inside))
+            p, triangles = (P, _TRIANGLES) if exponents is None else (exponents[k], _FINER)
+            answers.append(p_laplace(Mesh.of(vertices[k], triangles, order=2), values[k], p, order=2)(inside))
         return {"answers": np.array(answers)}
 
     key = np.concatenate([vertices.reshape(count, -1), values], axis=1)
-    parts = [kept("p3", key[k : k + BLOCK], partial(solve, k)) for k in range(0, count, BLOCK)]
+    if exponents is not None:
+        key = np.column_stack([key, exponents])
+    name = "p3" if exponents is None else "p-range"
+    parts = [kept(name, key[k : k + BLOCK], partial(solve, k)) for k in range(0, count, BLOCK)]
     linear = [boundary.linear for boundary in found.boundaries if boundary.linear is not None]
     ends = np.concatenate(linear)
     negative = (Boundary(b.domain, linear=-v) for b, v in zip(found.boundaries, linear, strict=True))
@@ -100,10 +116,35 @@ def p_laplace_batch(rows: Tensor, seed: int, split: str) -> Batch:
     """p-harmonic functions, p = 3, at a query of a polygon of the family for each of `rows` (B,)."""
     problem, answers = solved(split, seed)
     u = Stream(seed, split, "p-picks").uniform(rows[:, None], torch.arange(2, device=rows.device))
-    pick, negative = (u[:, 0] * len(answers)).long(), u[:, 1] < 0.5
-    shape = problem.shape[pick] + negative * len(problem.geometry.shape)
-    batch = replace(problem, points=problem.points[pick], shape=shape, rows=rows)
-    return Batch(batch, torch.where(negative, -answers[pick], answers[pick])[:, None])
+    pick = (u[:, 0] * len(answers)).long()
+    return _either_sign(replace(problem.take(pick), rows=rows), answers[pick], u[:, 1] < 0.5)
+
+
+def _either_sign(problem: ValuedPolygons, answer: Tensor, negative: Tensor) -> Batch:
+    """Some of the integrals with the negative boundary values."""
+    shape = problem.shape + negative * len(problem.geometry.shape)
+    return Batch(replace(problem, shape=shape), torch.where(negative, -answer, answer)[:, None])
+
+
+@lru_cache(maxsize=4)
+def _exponents(split: str, seed: int) -> NDArray[np.float64]:
+    """Some exponents of every polygon, (E, S), log-uniform in `P_RANGE`."""
+    low, high = P_RANGE
+    u = Stream(seed, split, "exponents").uniform(np.arange(_EXPONENTS)[:, None], np.arange(SHAPES[split]))
+    found: NDArray[np.float64] = low * (high / low) ** u
+    return found
+
+
+def p_range_batch(rows: Tensor, seed: int, split: str) -> Batch:
+    """p-harmonic functions with p in `P_RANGE` at a query of a polygon of the family for each of `rows` (B,)."""
+    exponents = _exponents(split, seed)
+    found = [solved(split, seed, tuple(of.tolist())) for of in exponents]
+    problem, answers = found[0][0], torch.stack([answers for _, answers in found])
+    u = Stream(seed, split, "p-range-picks").uniform(rows[:, None], torch.arange(3, device=rows.device))
+    pick, which = (u[:, 0] * answers.shape[1]).long(), (u[:, 2] * len(exponents)).long()
+    some = problem.take(pick)
+    some = replace(some, rows=rows, p=torch.from_numpy(exponents)[which, some.shape])
+    return _either_sign(some, answers[which, pick], u[:, 1] < 0.5)
 
 
 def p_tokens(samples: Samples) -> Tensor:
@@ -120,4 +161,29 @@ P_TOKENS = Extra(
     boundary_values,
     WALK_TOKENS.check,
     foreign=WALK_TOKENS.foreign,
+)
+
+
+def _exponent(samples: Samples) -> Tensor:
+    """(p - 2)/p, -1/3 to 2/3 where it was trained, (B, N, 1, 1)."""
+    p = samples.feature("p", "inet")
+    return ((p - 2.0) / p).float()
+
+
+def p_range_tokens(samples: Samples) -> Tensor:
+    """`p_tokens`, then the exponent, (B, N, 1, 173) float32."""
+    return torch.cat([p_tokens(samples), 3.0 * _exponent(samples)], dim=-1)
+
+
+def _range_check(samples: Samples) -> Tensor:
+    return torch.cat([reach(samples), _exponent(samples)], dim=-1)
+
+
+P_RANGE_TOKENS = Extra(
+    P_TOKENS.size + 1,
+    p_range_tokens,
+    (*P_TOKENS.checked, P_TOKENS.size),
+    boundary_values,
+    _range_check,
+    foreign=P_TOKENS.foreign,
 )

@@ -335,17 +335,23 @@ def by_rule(
     epsilon: float,
     seed: int,
     first: int = 0,
+    p: float | None = None,
 ) -> Estimate:
-    """The integrator on the walk problem at points inside, less a constant so that constants are exact."""
+    """The integrator on the walk problem at points inside, less a constant so that constants are exact.
+
+    With an exponent the problem shows it to the rule.
+    """
     check.require("torch", "learn", f"methods such as '{sampler}+{rule}'")
     import torch
 
     from nqr_geom.integrator.estimate import run
-    from nqr_geom.wos.problems import LaplaceProblem
+    from nqr_geom.wos.problems import LaplaceProblem, PLaplaceProblem
 
     level = float(values.at(np.zeros(1, dtype=np.int64), np.zeros(1))[0])
     problem = LaplaceProblem.joined([values.less(level)], [framed], max_steps, epsilon)
     problem = replace(problem, rows=torch.from_numpy(rows))
+    if p is not None:
+        problem = PLaplaceProblem.like(problem, p)
     estimate = run(problem, registry.make("sampler", sampler), registry.make("rule", rule), n, seed=seed, first=first)
     statistics = replace(estimate.statistics, mean=estimate.statistics.mean + level)
     return replace(estimate, value=estimate.value + level, inner=estimate.inner + level, statistics=statistics)

@@ -12,13 +12,13 @@ from nqr_geom.curves.problems import GwnProblem, SdProblem
 from nqr_geom.render.problems import TransmittanceProblem
 from nqr_geom.render.volume import Volume
 from nqr_geom.toy.problem import ToyProblem
-from nqr_geom.wos.problems import STEPS, LaplaceProblem
+from nqr_geom.wos.problems import STEPS, LaplaceProblem, PLaplaceProblem
 
 if TYPE_CHECKING:  # a scene's problem loads Warp
     from nqr_geom.render.direct_problem import DirectProblem
     from nqr_geom.render.scene import Scene
 
-__all__ = ["direct", "gwn", "laplace", "sd", "toy", "transmittance"]
+__all__ = ["direct", "gwn", "laplace", "p_laplace", "sd", "toy", "transmittance"]
 
 
 def direct(scenes: Scene | Sequence[Scene]) -> DirectProblem:
@@ -101,6 +101,24 @@ def laplace(
     (12, 1)
     """
     return LaplaceProblem.of(polygon, boundary, points, max_steps=max_steps, epsilon=epsilon)
+
+
+def p_laplace(polygon: Any, boundary: Any, points: ArrayLike, p: float = 3.0) -> PLaplaceProblem:
+    """p-harmonic functions by walks on spheres, which know of no p: what networks learn from (Appendix E.2).
+
+    Parameters
+    ----------
+    polygon, boundary, points, p
+        As for `solve_p_laplace`; all points inside.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> problem = ng.problems.p_laplace([[0, 0], [1, 0], [1, 1], [0, 1]], [0.0, 1.0, 1.0, 0.0], [[0.5, 0.5]], p=4.0)
+    >>> problem.name, problem.p.tolist()
+    ('p-laplace', [4.0])
+    """
+    return PLaplaceProblem.like(LaplaceProblem.of(polygon, boundary, points), p)
 
 
 def transmittance(

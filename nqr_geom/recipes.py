@@ -21,9 +21,9 @@ from nqr_geom.integrator.learn.snet import LearnedSampler, SNetConfig, View
 from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
-from nqr_geom.p_training import P_TOKENS, p_laplace_batch
+from nqr_geom.p_training import P_RANGE_TOKENS, P_TOKENS, p_laplace_batch, p_range_batch
 from nqr_geom.render.direct_slabs import SIGHT_TOKENS, LampSlabs, lamp_credit
-from nqr_geom.render.direct_tokens import DIRECT_TOKENS, KNOWN_TOKENS
+from nqr_geom.render.direct_tokens import KNOWN_TOKENS
 from nqr_geom.render.direct_training import direct_batch, doubtful_batch
 from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
@@ -46,7 +46,7 @@ _CURVE = TokenConfig(
 # The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
 _SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
 _VOLUME = TokenConfig(extra=VOLUME_TOKENS.size, unit=1.0)  # an optical depth of 1 is what counts
-_DIRECT = TokenConfig(dim=6, channels=3, frequencies=0, extra=DIRECT_TOKENS.size)
+_DIRECT = TokenConfig(dim=6, channels=3, frequencies=0, extra=KNOWN_TOKENS.size)
 _WALK = TokenConfig(dim=12, frequencies=0, extra=WALK_TOKENS.size, blind=True)
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
@@ -180,7 +180,7 @@ RECIPES: dict[str, Recipe] = {
             consistent="balance-heuristic",
             config=INetConfig(_DIRECT, positive=True),  # weights alone: a black pixel stays black
             sees=_DIRECT_SEES,
-            extra=DIRECT_TOKENS,
+            extra=KNOWN_TOKENS,
             sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
             designs=("pmj", "pmj", "random"),
             largest=64,
@@ -192,7 +192,7 @@ RECIPES: dict[str, Recipe] = {
             family=direct_batch,
             base="direct-known",
             consistent="direct-known",
-            config=INetConfig(replace(_DIRECT, extra=KNOWN_TOKENS.size), positive=True),
+            config=INetConfig(_DIRECT, positive=True),
             sees=_DIRECT_SEES,
             extra=KNOWN_TOKENS,
             sizes=((16, 0.9), (8, 0.05), (32, 0.05)),
@@ -247,6 +247,26 @@ RECIPES: dict[str, Recipe] = {
             ),
             sees=_WALK_SEES,
             extra=P_TOKENS,
+            designs=("walk-spread",),
+            largest=128,
+        ),
+        Recipe(
+            name="p-laplace-range",
+            problem="p-laplace",
+            family=p_range_batch,
+            base="inet-laplace-uniform",  # the answer for p = 2
+            consistent="inet-laplace-spread",
+            config=INetConfig(
+                replace(_WALK, extra=P_RANGE_TOKENS.size),
+                layers=2,
+                heads=4,
+                expansion=2,
+                weights="additive",
+                unit_mass=True,
+                beside=_WALK.dim,
+            ),
+            sees=(*_WALK_SEES, "p"),
+            extra=P_RANGE_TOKENS,
             designs=("walk-spread",),
             largest=128,
         ),

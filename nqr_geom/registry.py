@@ -83,6 +83,7 @@ _MODELS = (
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
     ("laplace-spread", "laplace", "network that weighs walks which avoid each other"),
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
+    ("p-laplace-range", "p-laplace", "network that bends inet-laplace-uniform to p from 1.5 to 6"),
 )
 # Pairs that were trained together: also the sampler "snet-" + name and the rule "inet-" + name.
 _PAIRS = (
@@ -92,7 +93,7 @@ _PAIRS = (
     ("laplace-nqr", "laplace", "walks directed by a network step by step, and the network that weighs them"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
-_DIMS = {"laplace": "12", "direct": "any"}  # of what networks know; else one
+_DIMS = {"laplace": "12", "p-laplace": "12", "direct": "any"}  # of what networks know; else one
 
 
 _TABLE: dict[str, tuple[Entry, ...]] = {

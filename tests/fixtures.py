@@ -45,6 +45,14 @@ def _laplace(max_steps: int = 4) -> Problem:
     return ng.problems.laplace(square, [0.0, 1.0, 0.5, -1.0], _POINTS, max_steps=max_steps)
 
 
+def _p_laplace() -> Problem:
+    """The same in twelve steps, where a rule is to see that p = 4."""
+    import nqr_geom as ng
+
+    square = [[-0.2, -0.2], [1.2, -0.2], [1.2, 1.2], [-0.2, 1.2]]
+    return ng.problems.p_laplace(square, [0.0, 1.0, 0.5, -1.0], _POINTS, p=4.0)
+
+
 def _transmittance() -> Problem:
     """Five rays through three noisy balls."""
     import nqr_geom as ng
@@ -73,12 +81,13 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "sd": lambda: _curve_problem("sd"),
     "laplace": _laplace,
     "laplace in 12 steps": lambda: _laplace(12),  # what networks were trained on
+    "p-laplace": _p_laplace,
     "transmittance": _transmittance,
     "direct": _direct,
 }
 
 # Plain rules work there, too; they are held to their laws in fewer dimensions.
-FOR_NETWORKS = ("laplace in 12 steps",)
+FOR_NETWORKS = ("laplace in 12 steps", "p-laplace")
 
 _ANY = ("line", "square", "toy", "gwn", "sd", "laplace", "transmittance")
 
@@ -98,6 +107,7 @@ BRINGS: dict[str, tuple[str, ...]] = {
     "gwn": ("gwn",),
     "sd": ("sd",),
     "laplace": ("laplace", "laplace in 12 steps"),
+    "p-laplace": ("p-laplace",),
 }
 
 

@@ -100,7 +100,7 @@ def p_laplace(
     values: Annotated[
         str, Parameter(help="Boundary values: x, y, saddle, waves, or a .npy file with one a vertex of a .npy outline.")
     ] = "waves",
-    method: Annotated[str, Parameter(help="fem, or inet: a network on walks, for p = 3.")] = "fem",
+    method: Annotated[str, Parameter(help="fem, or inet: a network on walks, for p from 1.5 to 6.")] = "fem",
     tol: Annotated[float | None, Parameter(help="Refine until the estimated error is at most this (fem).")] = None,
     samples: Annotated[int, Parameter(name=["--samples", "-n"], help="Walks per query (inet).")] = 32,
     text: Text = False,

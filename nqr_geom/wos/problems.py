@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +23,7 @@ from nqr_geom.wos.families import polygons, queries
 from nqr_geom.wos.nearest import BINS, Nearest, join, nearest_rows
 from nqr_geom.wos.record import ALIVE, SEEN, VALUE, record
 
-__all__ = ["STEPS", "LaplaceProblem", "WalkState"]
+__all__ = ["STEPS", "LaplaceProblem", "PLaplaceProblem", "WalkState"]
 
 STEPS = 12  # the paper's
 
@@ -322,6 +322,64 @@ class LaplaceProblem(WalkProblem):
     def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
         """The deterministic solver."""
         return {"boundary": self.reference}
+
+
+@dataclass(frozen=True, eq=False)
+class PLaplaceProblem(LaplaceProblem):
+    """p-harmonic functions at B points by the walks of a harmonic one: only rules that see p can answer.
+
+    Parameters
+    ----------
+    p : Tensor, (B,), float64
+        Exponent of each query; 3 where none is given.
+
+    Examples
+    --------
+    >>> import nqr_geom as ng
+    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    >>> problem = ng.problems.p_laplace(square, [0.0, 1.0, 1.0, 0.0], [[0.25, 0.5]], p=4.0)
+    >>> problem.evaluate(torch.rand(1, 3, 12, dtype=torch.float64)).features["p"].flatten().tolist()
+    [4.0, 4.0, 4.0]
+    """
+
+    p: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.float64))
+
+    name = "p-laplace"
+
+    def __post_init__(self) -> None:
+        if len(self.p) == 0:
+            object.__setattr__(self, "p", torch.full((self.batch,), 3.0, dtype=torch.float64))
+
+    @classmethod
+    def like(cls, problem: LaplaceProblem, p: float) -> PLaplaceProblem:
+        """The queries of another problem, all with one exponent, which must exceed 1."""
+        p = check.number("p", p, low=1.0, open_low=True)
+        same = {each.name: getattr(problem, each.name) for each in fields(LaplaceProblem)}
+        return cls(**same, p=torch.full((problem.batch,), p, dtype=torch.float64))
+
+    @property
+    def schema(self) -> Schema:  # type: ignore[override]
+        return Schema((*super().schema.features, Feature("p", "scalar")))
+
+    def evaluate(self, x: Tensor) -> Observation:
+        return self._with_p(super().evaluate(x))
+
+    def finish(self, state: WalkState) -> Observation:
+        return self._with_p(super().finish(state))
+
+    def _with_p(self, seen: Observation) -> Observation:
+        p = self.p[:, None, None, None].expand(-1, seen.value.shape[1], -1, -1)
+        return replace(seen, features={**seen.features, "p": p})
+
+    def take(self, index: slice | Tensor) -> PLaplaceProblem:
+        return replace(self, points=self.points[index], shape=self.shape[index], rows=self.rows[index], p=self.p[index])
+
+    def reference(self) -> None:  # type: ignore[override]
+        """Not known to walks; finite elements tell it (`solve_p_laplace`)."""
+        return None
+
+    def peers(self) -> dict[str, Callable[[], NDArray[np.float64]]]:
+        return {}
 
 
 def _outcomes(alive: NDArray[np.bool_]) -> dict[str, int]:

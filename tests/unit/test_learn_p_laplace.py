@@ -12,7 +12,7 @@ import nqr_geom as ng
 from nqr_geom import p_training, registry
 from nqr_geom.integrator.learn.inet import INet, LearnedRule
 from nqr_geom.integrator.learn.recipe import draw_samples
-from nqr_geom.p_training import p_laplace_batch
+from nqr_geom.p_training import P_RANGE, p_laplace_batch, p_range_batch
 from nqr_geom.recipes import RECIPES
 from nqr_geom.streams import Stream
 from nqr_geom.wos import training
@@ -35,10 +35,12 @@ def small_pools(tmp_path_factory: pytest.TempPathFactory) -> None:
         patch.setattr(room, "BLOCK", 4)
     pool.cache_clear()
     p_training.solved.cache_clear()
+    p_training._exponents.cache_clear()
     yield
     patch.undo()
     pool.cache_clear()
     p_training.solved.cache_clear()
+    p_training._exponents.cache_clear()
 
 
 def network(*, wild: bool) -> LearnedRule:
@@ -115,7 +117,8 @@ def test_it_reads_values() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"p": 2.5}, "p: expected 3 with method 'inet'"),
+        ({"p": 1.4}, "p: expected 1.5 to 6 with method 'inet'"),
+        ({"p": 6.5}, "p: expected 1.5 to 6 with method 'inet'"),
         ({"tol": 1e-3}, "tol: expected None with method 'inet'"),
         ({"points": [[3.0, 0.0]]}, "points: expected points inside"),
         ({"n": 0}, "n: "),
@@ -145,3 +148,44 @@ def test_more_walks_are_answered_by_the_network_for_two() -> None:
     rules = (registry.make("rule", name) for name in ("inet-p-laplace", "inet-laplace-spread"))
     mine, theirs = (rule.combine(samples).estimate(samples) for rule in rules)
     assert torch.equal(mine, theirs)
+
+
+def test_each_polygon_has_exponents_of_its_own_and_their_answers() -> None:
+    batch = p_range_batch(torch.arange(200), 0, "validation")
+    p = batch.problem.p
+    assert p is not None
+    assert p.min() > P_RANGE[0]
+    assert p.max() < P_RANGE[1]
+    assert len(p.unique()) == 8  # two of each of four polygons
+    problem, count = batch.problem, len(batch.problem.geometry.shape)
+    which = p == p[0]
+    boundary = problem.boundaries[int(problem.shape[0]) % count]
+    fine = ng.solve_p_laplace(
+        polygons(4, split="validation").vertices[int(problem.shape[0]) % count],
+        boundary.linear[:, 0],
+        boundary.domain.from_frame(problem.points[which].numpy()),
+        float(p[0]),
+    )
+    sign = np.where(problem.shape[which] >= count, -1.0, 1.0)
+    assert np.sqrt(np.mean((sign * fine - batch.answer[which, 0].numpy()) ** 2)) < 1e-3
+    seen = problem.evaluate(torch.full((200, 2, 12), 0.3, dtype=torch.float64)).features["p"]
+    torch.testing.assert_close(seen[:, 1, 0, 0], p)
+
+
+@pytest.mark.parametrize("p", [1.6, 2.0, 2.5, 5.0])
+def test_the_network_for_a_range_sees_p(p: float) -> None:
+    """Its answers are nearer to the truth than the exact solution for p = 2 is, and at p = 2 not far from it."""
+    found = ng.solve_p_laplace(VERTICES, VALUES, POINTS, p, method="inet", seed=1, full_output=True)
+    assert (found.plan["rule"], found.plan["p"]) == ("inet-p-laplace-range", p)
+    assert not found.fallback.any()
+    truth, two = (ng.solve_p_laplace(VERTICES, VALUES, POINTS, q) for q in (p, 2.0))
+    error, plain = (np.sqrt(np.mean((answer - truth) ** 2)) for answer in (found.value[:, 0], two))
+    assert error < max(0.7 * plain, 0.03 * VALUES.std())
+    assert (ng.solve_p_laplace(VERTICES, np.full(19, 0.3), POINTS, p, method="inet") == 0.3).all()
+
+
+def test_samples_without_p_are_refused_by_name() -> None:
+    rule = registry.make("rule", "inet-p-laplace-range")
+    samples = registry.make("sampler", "walk-spread").draw(LaplaceProblem.of(VERTICES, VALUES, POINTS), 8, Stream(0))
+    with pytest.raises(ValueError, match="rule: 'inet-p-laplace-range' needs samples of 'p-laplace'"):
+        rule.combine(samples)

@@ -40,7 +40,7 @@ class Extra:
     check : callable, optional
         The checked ones alone, (B, N, T, len(checked)), of samples in any order, where that is cheaper.
     taught : tuple of str
-        Features that only the samples of a training family bring.
+        Features that only the samples of a training family bring, or of another problem with the same samples.
     foreign : callable, optional
         Samples to integrals, (B,) bool, that are unlike the family though each of their quantities is within its range.
     doubt : callable, optional
