@@ -48,6 +48,18 @@ def strategy(rows: list[Row]) -> str:
     return markdown(head, lines) + "\n" + "\n".join(picture(*one) for one in pictures)
 
 
+def solvers(rows: list[Row]) -> str:
+    """All solvers of Laplace's equation: 32 walks, and the tolerances of those without walks."""
+    head = ["domain", "method", "walks or tolerance", "mean squared error", "us a query"]
+    lines = [
+        [row["domain"], row["method"], f"{row['tol']:g}" if "tol" in row else str(row["n"]), short(row["mse"]),
+         short(row["us"])]
+        for row in rows
+        if row["n"] in (0, 32)
+    ]  # fmt: skip
+    return picture("walk-solvers.png", "error against time of all solvers") + "\n" + markdown(head, lines)
+
+
 def nonlinear(rows: list[Row]) -> str:
     """Fig. 50: three polygons, p = 3 by the network and the exact solution for p = 2."""
     head = ["p = 3, polygon", "exact p = 2, mean squared error", "INet", "times better"]

@@ -29,7 +29,7 @@ from nqr_geom.wos.measures import vertex_measures
 from nqr_geom.wos.problems import LaplaceProblem
 
 SHAPES = (10, 3, 7)
-METHOD = ("walk-spread", "inet-p-laplace")
+METHOD = ("walk-spread-full", "inet-p-laplace")
 TRIANGLES = 250
 RESOLUTION = 56
 

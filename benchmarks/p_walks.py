@@ -30,7 +30,7 @@ from nqr_geom.wos.families import polygons
 from nqr_geom.wos.measures import vertex_measures
 from nqr_geom.wos.problems import LaplaceProblem
 
-DESIGNS = ("walk-spread",)
+DESIGNS = ("walk-spread-full",)
 RULES = ("mc", "inet-laplace-uniform", "inet-p-laplace")
 BENT = 1e-4
 

@@ -254,6 +254,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
         "Figs. 32 and 33: errors of 32 walks a pixel, five polygons and three domains",
         layouts_walks.fields,
     ),
+    ("walk_solvers", "Laplace's equation: error against time of all solvers", layouts_walks.solvers),
     ("walk_strategy", "Figs. 34 and 35: where walks go and what their ends weigh", layouts_walks.strategy),
     ("p_walks", "Fig. 50: p = 3 from walks", nonlinear),
     ("p_range", "p from 1.5 to 6 from walks, one network", nonlinear),

@@ -23,8 +23,9 @@ METHODS = ("fem", "inet")
 _TRIANGLES = 8000
 _COARSEST, _FINEST = 800, 400_000
 _LEARNED_P = 3.0
-_LEARNED = "inet-p-laplace"
-_LEARNED_RANGE = (1.5, 6.0)  # of another network, for exponents that differ
+_LEARNED = ("walk-spread-full", "inet-p-laplace")
+_RANGE = (1.5, 6.0)
+_LEARNED_RANGE = ("walk-spread", "inet-p-laplace-range")  # for other exponents
 
 
 def solve_p_laplace(
@@ -174,7 +175,7 @@ def _by_network(
     from nqr_geom.pde import by_rule, inside_of, scattered
     from nqr_geom.wos.domain import Domain
 
-    low, high = _LEARNED_RANGE
+    low, high = _RANGE
     p = check.number("p", p, low=1.0, open_low=True)
     if not low <= p <= high:
         raise ValueError(f"p: expected {low:g} to {high:g} with method 'inet', which is trained for them, got {p!r}")
@@ -183,9 +184,9 @@ def _by_network(
     domain = Domain.of(polygon)
     framed, inside = inside_of(domain, points, outside)
     walks: dict[str, Any] = {"n": n, "max_steps": 12, "epsilon": 1e-3, "seed": seed}
-    rule = _LEARNED if p == _LEARNED_P else f"{_LEARNED}-range"
+    pair = _LEARNED if p == _LEARNED_P else _LEARNED_RANGE
     inner = (domain.boundary(boundary), framed[inside], np.flatnonzero(inside))
-    found = by_rule(*inner, "walk-spread", rule, **walks, p=None if p == _LEARNED_P else p)
+    found = by_rule(*inner, *pair, **walks, p=None if p == _LEARNED_P else p)
     plan = {**found.plan, "problem": "p-laplace", "method": "inet", "p": p}
     return scattered(replace(found, plan=plan), inside)
 

@@ -154,25 +154,39 @@ def p_tokens(samples: Samples) -> Tensor:
     return torch.cat([WALK_TOKENS.compute(samples), *(compress(v, unit).float() for v in (value, known))], dim=-1)
 
 
+def _unlike(samples: Samples) -> Tensor:
+    """What no network over walks knows, and walks that are given twice, (B,) bool."""
+    begun = samples.x[..., 0].sort(dim=1).values
+    twice = (begun.diff(dim=1) == 0.0).any(dim=1)
+    return twice if WALK_TOKENS.foreign is None else twice | WALK_TOKENS.foreign(samples)
+
+
+def _not_for_three(samples: Samples) -> Tensor:
+    """The same, and another exponent where one is told, (B,) bool."""
+    told = samples.seen.features.get("p")
+    return _unlike(samples) if told is None else _unlike(samples) | (told[:, 0, 0, 0] != P)
+
+
 P_TOKENS = Extra(
     WALK_TOKENS.size + 13,
     p_tokens,
     WALK_TOKENS.checked,
     boundary_values,
     WALK_TOKENS.check,
-    foreign=WALK_TOKENS.foreign,
+    taught=("p",),
+    foreign=_not_for_three,
 )
 
 
 def _exponent(samples: Samples) -> Tensor:
-    """(p - 2)/p, -1/3 to 2/3 where it was trained, (B, N, 1, 1)."""
+    """3 (p - 2)/p, -1 to 2 where it was trained, (B, N, 1, 1)."""
     p = samples.feature("p", "inet")
-    return ((p - 2.0) / p).float()
+    return 3.0 * ((p - 2.0) / p).float()
 
 
 def p_range_tokens(samples: Samples) -> Tensor:
     """`p_tokens`, then the exponent, (B, N, 1, 173) float32."""
-    return torch.cat([p_tokens(samples), 3.0 * _exponent(samples)], dim=-1)
+    return torch.cat([p_tokens(samples), _exponent(samples)], dim=-1)
 
 
 def _range_check(samples: Samples) -> Tensor:
@@ -185,5 +199,5 @@ P_RANGE_TOKENS = Extra(
     (*P_TOKENS.checked, P_TOKENS.size),
     boundary_values,
     _range_check,
-    foreign=P_TOKENS.foreign,
+    foreign=_unlike,
 )

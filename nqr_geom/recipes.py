@@ -247,7 +247,7 @@ RECIPES: dict[str, Recipe] = {
             ),
             sees=_WALK_SEES,
             extra=P_TOKENS,
-            designs=("walk-spread",),
+            designs=("walk-spread-full",),
             largest=128,
         ),
         Recipe(

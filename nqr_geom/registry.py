@@ -128,6 +128,13 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
             adaptive=True,
         ),
         Entry(
+            "walk-spread-full",
+            "nqr_geom.wos.spread:FullWalkSpread",
+            "the same with every step directed, by finer sectors",
+            needs="laplace",
+            adaptive=True,
+        ),
+        Entry(
             "curve-refine",
             _CURVES + "structured:CurveRefine",
             "piece ends and middles, then the gap that matters most to the query",

@@ -276,7 +276,20 @@ _WALKS = [
     *_sampled(_walked(UNIT, _USUAL), _affine_answer(_USUAL), 2000),
 ]
 
-_LISTS = {"toy": _TOY, "gwn": _on_curves(_gwn), "sd": _SD, "laplace": _WALKS, "p-laplace": _WALKS}
+
+def _three(make: Callable[[], Any]) -> Any:
+    from nqr_geom.wos.problems import PLaplaceProblem
+
+    return PLaplaceProblem.like(make(), 3.0)
+
+
+_LISTS = {
+    "toy": _TOY,
+    "gwn": _on_curves(_gwn),
+    "sd": _SD,
+    "laplace": _WALKS,
+    "p-laplace": [replace(one, make=partial(_three, one.make)) for one in _WALKS],
+}
 
 
 def hostile(problem: str) -> list[Hostile]:

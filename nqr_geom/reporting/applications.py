@@ -162,7 +162,7 @@ def toward_p_laplace(inputs: str, problem: LaplaceProblem, polygons: list[Any], 
     names = {  # the last two aim at p = 2 and show what bending the answer is worth
         ("random", "mc"): "mc for p = 2",
         ("latin-hypercube", "inet-laplace-uniform"): "inet for p = 2",
-        ("walk-spread", "inet-p-laplace"): "inet",
+        ("walk-spread-full", "inet-p-laplace"): "inet",
     }
     found = {one.pair: one for one in contenders_for(problem)}
     contenders = [replace(found[pair], name=name) for pair, name in names.items() if pair in found]

@@ -20,7 +20,7 @@ from nqr_geom.streams import Stream
 from nqr_geom.wos.explore import spread_directions
 from nqr_geom.wos.problems import LaplaceProblem
 
-__all__ = ["WalkSpread"]
+__all__ = ["FullWalkSpread", "WalkSpread"]
 
 
 @dataclass(frozen=True)
@@ -81,3 +81,21 @@ class WalkSpread(Sampler):
         pdf = torch.cat([torch.from_numpy(density)[..., None], torch.ones_like(rest.x[..., :1])], dim=1)
         seen = Observation.join([samples.seen, rest.seen])
         return replace(samples, x=torch.cat([at, rest.x], dim=1), seen=seen, pdf=pdf)
+
+
+@dataclass(frozen=True)
+class FullWalkSpread(WalkSpread):
+    """`WalkSpread` that directs every step as far as the shell, by finer sectors: slower, and better in channels.
+
+    Examples
+    --------
+    >>> sampler = FullWalkSpread()
+    >>> sampler.bins, sampler.smallest, sampler.rim
+    (24, 0.0, 0.0)
+    """
+
+    bins: int = 24
+    smallest: float = 0.0
+    rim: float = 0.0
+
+    name = "walk-spread-full"
