@@ -73,7 +73,7 @@ def draw(rows: list[Row]) -> None:
     whole = figure(9.6, 4.2 * -(-len(names) // 2))
     for k, name in enumerate(names):
         panel = whole.add_subplot(-(-len(names) // 2), 2, k + 1)
-        greys, colours = iter(("0.0", "0.4", "0.65")), iter(SEVERAL)
+        greys, colours = iter(("0.0", "0.4", "0.65")), iter((*SEVERAL, "tab:brown", "tab:olive"))
         for method in dict.fromkeys(row["method"] for row in rows):
             of = [row for row in rows if (row["domain"], row["method"]) == (name, method)]
             plain = method in STUDIES["laplace"].classical
