@@ -6,8 +6,7 @@ The same samples for every rule of a design: plain weights (the networks' base),
 structured rule, the networks. Clouds are of the split "test"; donut and letters are unlike anything in the training.
 Rays go through all of the box, or ("pieces") only through what balls and their noise can reach. Ratios are of means to
 plain Monte Carlo on random samples of the same rays, with 95% bootstrap intervals over clouds, or over runs where there
-is one volume. What is measured goes
-into the cards of the networks.
+is one volume. What is measured goes into the cards of the networks.
 """
 
 from __future__ import annotations

@@ -16,37 +16,19 @@ import numpy as np
 import torch
 from comparison import SEED, N
 from learned import write_cards
-from numpy.typing import NDArray
+from p_range import solutions
 from rich.console import Console
 from rich.table import Table
 from shapes import write
 
 from nqr_geom import registry
-from nqr_geom.fem.mesh import Mesh
-from nqr_geom.fem.p_laplace import p_laplace
 from nqr_geom.integrator.bootstrap import Bootstrap
 from nqr_geom.integrator.estimate import run
-from nqr_geom.wos.families import polygons
-from nqr_geom.wos.measures import vertex_measures
 from nqr_geom.wos.problems import LaplaceProblem
 
 DESIGNS = ("walk-spread-full",)
 RULES = ("mc", "inet-laplace-uniform", "inet-p-laplace")
 BENT = 1e-4
-
-Floats = NDArray[np.float64]
-
-
-def truths(problem: LaplaceProblem, triangles: int) -> tuple[Floats, Floats]:
-    """Solutions for p = 3 and p = 2 at all queries, (B,)."""
-    vertices, values = polygons(len(problem.boundaries), SEED, "test")
-    three, two = np.empty(problem.batch), np.empty(problem.batch)
-    for k in np.unique(problem.groups):
-        on = problem.groups == k
-        points = problem.boundaries[k].domain.from_frame(problem.points[on].numpy())
-        three[on] = p_laplace(Mesh.of(vertices[k], triangles, order=2), values[k], 3.0, order=2)(points)
-        two[on] = vertex_measures(vertices[k], points)[0] @ values[k]
-    return three, two
 
 
 def main() -> None:
@@ -55,8 +37,8 @@ def main() -> None:
     quick = parser.parse_args().quick
     shapes, points = (6, 32) if quick else (48, 64)
     problem = LaplaceProblem.family(shapes, SEED, points=points)
-    truth, two = truths(problem, 250)
-    coarser, _ = truths(problem.take(torch.from_numpy(problem.groups < 4)), 120)
+    truth, two = solutions(problem, 3.0, 250), solutions(problem, 2.0, 0)
+    coarser = solutions(problem.take(torch.from_numpy(problem.groups < 4)), 3.0, 120)
     mesh = float(np.mean((coarser - truth[problem.groups < 4]) ** 2))
     gap = np.array([np.square(two - truth)[problem.groups == k].mean() for k in range(shapes)])
     rows: list[dict[str, Any]] = []

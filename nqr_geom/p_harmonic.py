@@ -16,16 +16,15 @@ if TYPE_CHECKING:
     from nqr_geom.fem.space import Solution
     from nqr_geom.integrator.estimate import Estimate
 
-__all__ = ["METHODS", "p_harmonic", "solve_p_laplace"]
+__all__ = ["LEARNED_P", "LEARNED_RANGE", "METHODS", "p_harmonic", "solve_p_laplace"]
 
 METHODS = ("fem", "inet")
 
 _TRIANGLES = 8000
 _COARSEST, _FINEST = 800, 400_000
-_LEARNED_P = 3.0
+LEARNED_P, LEARNED_RANGE = 3.0, (1.5, 6.0)  # what networks over walks were trained for
 _LEARNED = ("walk-spread-full", "inet-p-laplace")
-_RANGE = (1.5, 6.0)
-_LEARNED_RANGE = ("walk-spread", "inet-p-laplace-range")  # for other exponents
+_OTHERS = ("walk-spread", "inet-p-laplace-range")
 
 
 def solve_p_laplace(
@@ -175,7 +174,7 @@ def _by_network(
     from nqr_geom.pde import by_rule, inside_of, scattered
     from nqr_geom.wos.domain import Domain
 
-    low, high = _RANGE
+    low, high = LEARNED_RANGE
     p = check.number("p", p, low=1.0, open_low=True)
     if not low <= p <= high:
         raise ValueError(f"p: expected {low:g} to {high:g} with method 'inet', which is trained for them, got {p!r}")
@@ -184,9 +183,9 @@ def _by_network(
     domain = Domain.of(polygon)
     framed, inside = inside_of(domain, points, outside)
     walks: dict[str, Any] = {"n": n, "max_steps": 12, "epsilon": 1e-3, "seed": seed}
-    pair = _LEARNED if p == _LEARNED_P else _LEARNED_RANGE
+    pair = _LEARNED if p == LEARNED_P else _OTHERS
     inner = (domain.boundary(boundary), framed[inside], np.flatnonzero(inside))
-    found = by_rule(*inner, *pair, **walks, p=None if p == _LEARNED_P else p)
+    found = by_rule(*inner, *pair, **walks, p=p)
     plan = {**found.plan, "problem": "p-laplace", "method": "inet", "p": p}
     return scattered(replace(found, plan=plan), inside)
 

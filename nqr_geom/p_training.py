@@ -22,21 +22,21 @@ from nqr_geom.fem.p_laplace import p_laplace
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, standard
 from nqr_geom.integrator.problem import Observation, Samples
+from nqr_geom.p_harmonic import LEARNED_P, LEARNED_RANGE
 from nqr_geom.streams import Stream
 from nqr_geom.wos.domain import Boundary
 from nqr_geom.wos.families import polygons
 from nqr_geom.wos.kept import kept
 from nqr_geom.wos.record import ALIVE, VALUE
-from nqr_geom.wos.tokens import WALK_TOKENS, boundary_values, reach
+from nqr_geom.wos.tokens import WALK_TOKENS, boundary_values, reach, unknown
 from nqr_geom.wos.training import BLOCK, QUERIES, ManyPolygons, pool
 
 __all__ = ["P_RANGE", "P_RANGE_TOKENS", "P_TOKENS", "P", "p_laplace_batch", "p_range_batch"]
 
-P = 3.0
-P_RANGE = (1.5, 6.0)
+P, P_RANGE = LEARNED_P, LEARNED_RANGE
 
 SHAPES = {"train": 256, "validation": 64, "test": 64}
-_TRIANGLES = 120  # refined at the corners; the squared error is some 1e-7
+_TRIANGLES = 120  # refined at the corners; for the squared error see benchmarks/p_walks.py
 _FINER = 400  # for other exponents, of which some bend their solutions more
 _EXPONENTS = 2  # of a polygon
 _CENTRED = TokenConfig(centred=True)
@@ -154,17 +154,10 @@ def p_tokens(samples: Samples) -> Tensor:
     return torch.cat([WALK_TOKENS.compute(samples), *(compress(v, unit).float() for v in (value, known))], dim=-1)
 
 
-def _unlike(samples: Samples) -> Tensor:
-    """What no network over walks knows, and walks that are given twice, (B,) bool."""
-    begun = samples.x[..., 0].sort(dim=1).values
-    twice = (begun.diff(dim=1) == 0.0).any(dim=1)
-    return twice if WALK_TOKENS.foreign is None else twice | WALK_TOKENS.foreign(samples)
-
-
 def _not_for_three(samples: Samples) -> Tensor:
-    """The same, and another exponent where one is told, (B,) bool."""
+    """What no network over walks knows, and another exponent where one is told, (B,) bool."""
     told = samples.seen.features.get("p")
-    return _unlike(samples) if told is None else _unlike(samples) | (told[:, 0, 0, 0] != P)
+    return unknown(samples) if told is None else unknown(samples) | (told[:, 0, 0, 0] != P)
 
 
 P_TOKENS = Extra(
@@ -199,5 +192,5 @@ P_RANGE_TOKENS = Extra(
     (*P_TOKENS.checked, P_TOKENS.size),
     boundary_values,
     _range_check,
-    foreign=_unlike,
+    foreign=unknown,
 )

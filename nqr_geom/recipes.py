@@ -250,28 +250,18 @@ RECIPES: dict[str, Recipe] = {
             designs=("walk-spread-full",),
             largest=128,
         ),
-        Recipe(
-            name="p-laplace-range",
-            problem="p-laplace",
-            family=p_range_batch,
-            base="inet-laplace-uniform",  # the answer for p = 2
-            consistent="inet-laplace-spread",
-            config=INetConfig(
-                replace(_WALK, extra=P_RANGE_TOKENS.size),
-                layers=2,
-                heads=4,
-                expansion=2,
-                weights="additive",
-                unit_mass=True,
-                beside=_WALK.dim,
-            ),
-            sees=(*_WALK_SEES, "p"),
-            extra=P_RANGE_TOKENS,
-            designs=("walk-spread",),
-            largest=128,
-        ),
     )
 }
+_THREE = RECIPES["p-laplace"]
+RECIPES["p-laplace-range"] = replace(
+    _THREE,
+    name="p-laplace-range",
+    family=p_range_batch,
+    config=replace(_THREE.config, tokens=replace(_WALK, extra=P_RANGE_TOKENS.size)),
+    sees=(*_WALK_SEES, "p"),
+    extra=P_RANGE_TOKENS,
+    designs=("walk-spread",),
+)
 
 
 # What a sampling network reads of a sample by itself.
@@ -317,8 +307,8 @@ JOINT: dict[str, JointRecipe] = {
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
         JointRecipe(
-            # The sampler begins as walk-spread, and the answer as walk-fit: its errors and a network's have little in
-            # common, so that the network learns what helps beside it.
+            # The sampler begins as walk-spread-full, and the answer as walk-fit: its errors and a network's have little
+            # in common, so that the network learns what helps beside it.
             replace(
                 RECIPES["laplace-spread"],
                 name="laplace-nqr",

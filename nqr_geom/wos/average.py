@@ -102,7 +102,7 @@ def _sorted(seen, count, loops, keys, spare, heads, ordered):  # type: ignore[no
 
 
 @_kernel
-def average(seen, count, loops, step, fade, least, again, size, space):  # type: ignore[no-untyped-def]
+def average(seen, count, loops, step, fade, least, again, space):  # type: ignore[no-untyped-def]
     """Mean of the values that were seen under the harmonic measure of the boundary that was.
 
     Parameters
@@ -118,8 +118,6 @@ def average(seen, count, loops, step, fade, least, again, size, space):  # type:
         See `WalkFit`.
     again : bool
         The same places as in the last call with other values, so that the measure is known.
-    size : int
-        Panels of that call.
     space : tuple of arrays
         See `room_for`.
 
@@ -151,7 +149,7 @@ def average(seen, count, loops, step, fade, least, again, size, space):  # type:
     lost = 0.0
     if not again:
         lost = harmonic_measure(panels[:m], 0.0, 0.0, 0.5 / (_REACH * reach), matrix, work, measure[:m])
-    if not lost < np.inf or (again and m != size):
+    if not lost < np.inf:
         return nothing
     # From the first value on, so that a constant stays that constant to the last bit.
     level, total, hidden = panels[0, 4], 0.0, 0.0

@@ -1,7 +1,7 @@
 """Walks with the boundary they see, compiled: nothing of them is kept but closest points.
 
 A walk may be directed towards boundary that earlier walks of the query have not met (`WalkSpread`). It ends within the
-rim, where what it would still see lies in one place as the query sees it: a quarter of the steps to the epsilon shell.
+rim, where what it would still see lies in one place as the query sees it: well before the epsilon shell.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 AVOID = 4  # power of 1 + the number of ends, or of starts, in a direction
 UNIFORM = 4  # the first of so many walks is uniform
-SEEN = 6  # numbers of a point that was seen
+NUMBERS = 6  # numbers of a point that was seen
 
 _TURN = 2.0 * math.pi
 _SMALL, _LARGE = 1e-2, 1e2  # a landing place's distance from an end counts between these, in radii
@@ -268,7 +268,7 @@ def _spread_rows(  # type: ignore[no-untyped-def]
     x, density,
 ):  # fmt: skip
     n, most = x.shape[1], x.shape[2]
-    space, seen = space_for(n, table.shape[1]), np.empty((n * (most + 1), SEEN))
+    space, seen = space_for(n, table.shape[1]), np.empty((n * (most + 1), NUMBERS))
     linear = np.zeros((len(edges), 2))  # values are not asked for
     for i in range(low, high):
         own = mixed(key, rows[i])

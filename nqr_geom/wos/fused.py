@@ -15,7 +15,7 @@ from nqr_geom.integrator.samplers import LatinHypercube, Random, Sampler
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 from nqr_geom.wos.average import average, room_for
-from nqr_geom.wos.explore import SEEN, explored, space_for, table_of
+from nqr_geom.wos.explore import NUMBERS, explored, space_for, table_of
 from nqr_geom.wos.problems import LaplaceProblem
 from nqr_geom.wos.spread import WalkSpread
 from nqr_geom.wos.structured import WalkFit
@@ -52,7 +52,7 @@ def _rows(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Rows low .. high: answers (B,), measure that was cut off (B,), and steps and capped walks (B, 2)."""
     x, density, bits = np.empty((n, most)), np.empty(n), np.empty(n, np.int64)
-    seen, space, room = np.empty((n * (most + 1), SEEN)), space_for(n, table.shape[1]), room_for(n * (most + 1))
+    seen, space, room = np.empty((n * (most + 1), NUMBERS)), space_for(n, table.shape[1]), room_for(n * (most + 1))
     for b in range(low, high):
         own = mixed(key, rows[b])
         if latin:
@@ -66,7 +66,7 @@ def _rows(  # type: ignore[no-untyped-def]
             edges, size, grid, shape, first, items, arc, linear, of[b], start[b, 0], start[b, 1], epsilon, rim, x, own,
             spread, floor, smallest, table, space, False, density, seen,
         )  # fmt: skip
-        value[b], _, lost[b], _ = average(seen, count, loops[b], step, fade, least, False, 0, room)
+        value[b], _, lost[b], _ = average(seen, count, loops[b], step, fade, least, False, room)
 
 
 def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
@@ -84,13 +84,12 @@ def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> 
     spread = sampler if isinstance(sampler, WalkSpread) else None
     if spread is not None and (n > spread.most or spread.rim != rule.rim):
         return None
-    values = [boundary.linear for boundary in problem.boundaries]
-    if any(value is None for value in values):
+    values = [boundary.linear for boundary in problem.boundaries if boundary.linear is not None]
+    if len(values) < len(problem.boundaries):
         return None
 
     def whole(stream: Stream) -> Whole:
-        edges = [np.zeros((0, 2)) if value is None else value for value in values]
-        linear, loops = np.concatenate(edges), problem.loops().numpy()
+        linear, loops = np.concatenate(values), problem.loops().numpy()
         start, rows = (np.ascontiguousarray(t.numpy()) for t in (problem.points, problem.rows))
         key, order = unsigned(stream.key), unsigned(stream.child("order").key)
         how = spread or WalkSpread()

@@ -57,7 +57,7 @@ def _mean_log(mx, my, ex, ey, square, log, x, y):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _minus_half_logs(x, fractions):  # type: ignore[no-untyped-def]
-    """-ln(x)/2 of positive numbers, in place, to 1e-13: twice as many at once as the library's, on any processor.
+    """-ln(x)/2 of positive numbers, in place, to 1e-13: in vector registers, which the library's does not fill.
 
     x = 2^e m with m in [sqrt(1/2), sqrt(2)), and ln m = 2 atanh(s), s = (m - 1)/(m + 1), |s| < 0.172.
     """

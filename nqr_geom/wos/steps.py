@@ -40,7 +40,7 @@ class LaplaceWalks(Walks):
     Nothing depends on the place, the size or the direction of the domain, nor on its boundary values: where to look
     is a question of geometry, since the answer is linear in the values. Of each direction it is known how many walks
     began there (at the first step), how many ends lie there, and how far from the landing place the nearest end is; the
-    walks of the untrained network are those of `WalkSpread(smallest=0, rim=0)`, and as there one in four is uniform.
+    walks of the untrained network are those of `FullWalkSpread`, and as there one in four is uniform.
 
     Parameters
     ----------

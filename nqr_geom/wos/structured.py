@@ -26,7 +26,7 @@ from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
 from nqr_geom.wos.average import average, room_for
-from nqr_geom.wos.explore import SEEN as NUMBERS
+from nqr_geom.wos.explore import NUMBERS
 from nqr_geom.wos.record import ALIVE, SEEN
 from nqr_geom.wos.tokens import boundary_values
 
@@ -89,7 +89,7 @@ def _fit_rows(  # type: ignore[no-untyped-def]
         answer[b], hidden[b], lost[b], size[b] = np.nan, 1.0, np.inf, 0
         for c in range(value.shape[2]):
             count = _collected(steps[b], known[b, :, c], end[b], value[b, :, c], rim, seen)
-            found, guess, cut, m = average(seen, count, loops[b], step, fade, least, c > 0, size[b], space)
+            found, guess, cut, m = average(seen, count, loops[b], step, fade, least, c > 0, space)
             if m == 0:
                 break
             answer[b, c] = found

@@ -19,7 +19,7 @@ from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Samples
 
-__all__ = ["WALK_TOKENS", "boundary_values", "walk_tokens"]
+__all__ = ["WALK_TOKENS", "boundary_values", "reach", "unknown", "walk_tokens"]
 
 _STEP = 12  # numbers for a step
 _END = 15  # and for the end of a walk
@@ -158,10 +158,10 @@ def reach(samples: Samples) -> Tensor:
     return torch.hypot(end[..., 0], end[..., 1]).clamp(1e-6, 1e6).log().float()[:, :, None, None]
 
 
-def _holed(samples: Samples) -> Tensor:
-    """Domains with holes, (B,) bool: no network over walks has learned on any."""
-    loops = samples.feature("loops", "inet")[:, 0, 0]
-    return loops[:, -1] > loops[:, 0]
+def unknown(samples: Samples) -> Tensor:
+    """Domains with holes, and walks that begin twice the same way, (B,) bool: no network has learned on any."""
+    loops, begun = samples.feature("loops", "inet")[:, 0, 0], samples.x[..., 0].sort(dim=1).values
+    return (loops[:, -1] > loops[:, 0]) | (begun.diff(dim=1) == 0.0).any(dim=1)
 
 
 # A corner cut off at the last step, or a query in the shell, may end nearer than the first radius; nothing ends farther
@@ -172,6 +172,6 @@ WALK_TOKENS = Extra(
     checked=(12 * _STEP + 2,),
     beside=boundary_values,
     check=reach,
-    foreign=_holed,
+    foreign=unknown,
     taught=("known", "p"),  # what is seen for another p is the same: answers are those for p = 2
 )

@@ -15,7 +15,7 @@ from nqr_geom.integrator.problem import WalkProblem
 from nqr_geom.streams import Stream
 from nqr_geom.wos.domain import Domain
 from nqr_geom.wos.families import queries
-from nqr_geom.wos.harmonic import harmonic_measure
+from nqr_geom.wos.harmonic import _minus_half_logs, harmonic_measure
 from nqr_geom.wos.outlines import outlines
 from nqr_geom.wos.panels import panels_of
 from nqr_geom.wos.problems import LaplaceProblem
@@ -69,6 +69,15 @@ def test_panels_that_lie_on_others_change_nothing():
     shares[0] += got[40]
     np.testing.assert_allclose(shares, measure(once, (0.4, 0.3))[0].reshape(4, 8).sum(axis=1), atol=3e-3)
     assert lost < 0.05
+
+
+def test_logarithms_in_vector_registers_are_those_of_the_library():
+    x = np.concatenate(
+        [np.exp(np.random.default_rng(0).uniform(-60.0, 60.0, 5000)), 1.0 + np.linspace(-1e-3, 1e-3, 99)]
+    )
+    found = x.copy()
+    _minus_half_logs(found, np.empty_like(x))
+    np.testing.assert_allclose(found, -0.5 * np.log(x), rtol=0.0, atol=1e-13)
 
 
 def test_harmonic_measure_of_a_hole_is_a_logarithm():

@@ -17,7 +17,7 @@ from nqr_geom.integrator.learn.tokens import TokenConfig
 from nqr_geom.streams import Stream
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.wos.problems import LaplaceProblem
-from nqr_geom.wos.spread import WalkSpread
+from nqr_geom.wos.spread import FullWalkSpread, WalkSpread
 from nqr_geom.wos.steps import LaplaceWalks
 from nqr_geom.wos.structured import WalkFit
 
@@ -49,8 +49,7 @@ def test_the_density_is_that_of_the_walks():
 def test_an_untrained_network_makes_the_same_walks():
     problem = LaplaceProblem.family(6, 3, "validation", points=16)
     net = LearnedSampler(SNet(STEP, LaplaceWalks).eval())
-    plain = WalkSpread(bins=24, smallest=0.0, rim=0.0)
-    first, second = (sampler.draw(problem, 24, STREAM).pdf for sampler in (plain, net))
+    first, second = (sampler.draw(problem, 24, STREAM).pdf for sampler in (FullWalkSpread(), net))
     assert first is not None
     assert second is not None
     spread = [p.log()[..., 0].sum(dim=1).numpy() for p in (first, second)]
