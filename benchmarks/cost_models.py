@@ -117,6 +117,8 @@ def sampled(name: str, cases: Sequence[problems.Case], method: str, sizes: Seque
 def solved(name: str, cases: Sequence[problems.Case], method: str, tols: Sequence[float], terms: Sequence[str],
            rows: Sequence[int], threads: bool = True) -> dict[str, Any]:  # fmt: skip
     """Model of a method without samples; one over the tolerance is its number of samples."""
+    if len(set(rows)) < 2 and any("rows" in term for term in terms):  # a call and a query would be anyone's guess
+        raise ValueError(f"rows: expected two numbers of queries or more to time {name}:{method}, got {rows}")
     spent, reached = [], {tol: [] for tol in tols}
     for case in cases:
         for tol in tols:

@@ -250,7 +250,7 @@ STUDIES: dict[str, dict[str, dict[str, Any]]] = {
     "sd-callable": _on_curves(_BOX_TIMES),
     "laplace": {
         "boundary": {"tols": (1e-8,), "rows": (10, 40, 1000), "terms": ["1", "size", "size*size", "rows", "rows*size"]},
-        "fem": {"tols": (1e-1, 1e-2, 1e-3), "rows": (40,), "terms": ["1", "n", "size", "rows"], "threads": False},
+        "fem": {"tols": (1e-1, 1e-2, 1e-3), "rows": (40, 2000), "terms": ["1", "n", "size", "rows"], "threads": False},
         "wos": {"sizes": (16, 64, 256, 1024), "times": {**_WALKS, "terms": _SAMPLED, "n": (64, 1024)}},
         "structured": {"sizes": (8, 16, 32, 64, 128), "times": _WALKS},
         "wos-lhs": {"sizes": (8, 16, 32, 64, 128, 512), "times": _WALKS},
