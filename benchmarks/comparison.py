@@ -192,6 +192,7 @@ def rows_of(
             "rule": pair[1],
             "n": n,
             "mse": float(e.mean()),
+            "mse_error": bootstrap.standard_error(e),
             "median": float(np.median(e)),
             "p99": float(np.quantile(e, 0.99)),
             "ratio": float(plain.mean() / e.mean()),

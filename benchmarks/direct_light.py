@@ -107,6 +107,7 @@ def main() -> None:
             "method": name,
             "n": PASSES,
             "mse": float(square.mean()),
+            "mse_error": bootstrap.standard_error(each[:, None]),
             "ratio": float(base.mean() / each.mean()),
             "ratio_interval": list(bootstrap.ratio(base[:, None], each[:, None]) or ()),
             "median": float(np.median(square)),

@@ -69,7 +69,7 @@ def write_cards(rows: list[dict[str, Any]]) -> None:
     from nqr_geom.integrator.learn.zoo import Card, write_card
     from nqr_geom.recipes import JOINT, RECIPES, folder, rule_of
 
-    kept = ("mse", "median", "p99", "ratio", "ratio_interval", "base", "gain", "gain_interval", "fallback")
+    kept = ("mse", "mse_error", "median", "p99", "ratio", "ratio_interval", "base", "gain", "gain_interval", "fallback")
     for row in rows:
         name = row["rule"].removeprefix("inet-")
         if name not in (*RECIPES, *JOINT) or row["rule"] == name or row["problem"] != rule_of(name).problem:

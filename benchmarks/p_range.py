@@ -60,7 +60,8 @@ def rows_of(p: float | str, errors: dict[str, Floats], groups: NDArray[np.int64]
     for name, e in errors.items():
         row: Row = {"problem": "p-laplace", "p": p, "n": N,
                     "design": "walk-spread-full" if name == THREE else "walk-spread", "rule": name,
-                    "mse": float(e.mean()), "median": float(np.median(e)), "p99": float(np.quantile(e, 0.99)),
+                    "mse": float(e.mean()), "mse_error": resample.standard_error(e[:, None]),
+                    "median": float(np.median(e)), "p99": float(np.quantile(e, 0.99)),
                     "ratio": float(errors[against].mean() / e.mean()),
                     "ratio_interval": resample.ratio(errors[against][:, None], e[:, None])}  # fmt: skip
         if name in (RANGE, THREE):

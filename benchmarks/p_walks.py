@@ -55,7 +55,8 @@ def main() -> None:
                 e = error[on, None]
                 row = {"problem": "p-laplace", "polygons": f"{label}, {int(chosen.sum())}",
                        "design": design, "rule": name,
-                       "mse": float(e.mean()), "median": float(np.median(e)), "p99": float(np.quantile(e, 0.99)),
+                       "mse": float(e.mean()), "mse_error": resample.standard_error(e),
+                       "median": float(np.median(e)), "p99": float(np.quantile(e, 0.99)),
                        "ratio": float(exact.mean() / e.mean()), "ratio_interval": resample.ratio(exact, e)}  # fmt: skip
                 if name == "inet-p-laplace":
                     row |= {"base": "inet-laplace-uniform", "gain": float(base.mean() / e.mean()),

@@ -65,6 +65,11 @@ class Bootstrap:
         total, count = self._resampled(errors)
         return _percentiles(total / count)
 
+    def standard_error(self, errors: Floats) -> float:
+        """Standard error of the mean of errors (B, R)."""
+        total, count = self._resampled(errors)
+        return float((total / count).std())
+
     def ratio(self, numerator: Floats, denominator: Floats) -> Interval | None:
         """95% interval of the ratio of two means of errors (B, R), both resampled alike; None where it is unbounded."""
         above, below = self._resampled(numerator)[0], self._resampled(denominator)[0]

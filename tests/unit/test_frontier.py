@@ -129,10 +129,17 @@ def test_shapes_and_not_queries_are_resampled():
 def test_ratios_are_resampled_jointly():
     """Errors that are proportional shape by shape have a ratio without any spread."""
     errors = np.random.default_rng(2).exponential(size=(50, 4))
-    low, high = Bootstrap.of(np.arange(50), 4, 0).ratio(3.0 * errors, errors)
+    resample = Bootstrap.of(np.arange(50), 4, 0)
+    low, high = resample.ratio(3.0 * errors, errors)
     assert low == pytest.approx(3.0, rel=1e-12)
     assert high == pytest.approx(3.0, rel=1e-12)
-    assert Bootstrap.of(np.arange(50), 4, 0).ratio(errors, 0.0 * errors) is None
+    assert resample.ratio(errors, 0.0 * errors) is None
+
+
+def test_the_standard_error_of_a_mean_is_that_of_its_groups() -> None:
+    errors = np.repeat(np.random.default_rng(2).exponential(size=(400, 1)), 8, axis=0)
+    told = Bootstrap.of(np.repeat(np.arange(400), 8), 1, 0).standard_error(errors)
+    assert told == pytest.approx(errors[::8].std(ddof=1) / 20.0, rel=0.1)
 
 
 def test_peers_are_timed_and_drawn_apart(measured):

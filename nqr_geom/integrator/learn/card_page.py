@@ -92,10 +92,10 @@ def _number(value: float) -> str:
 
 
 def _measured(table: dict[str, Any]) -> str:
-    head = ("samples", "mean", "median", "99%", "x Monte Carlo", "95%", "x its base", "95%", "flagged")
+    head = ("samples", "mean", "std. error", "median", "99%", "x Monte Carlo", "95%", "x its base", "95%", "flagged")
     lines = []
     for design, row in table.items():
-        numbers = [_number(row[key]) if key in row else "" for key in ("mse", "median", "p99", "ratio")]
+        numbers = [_number(row[key]) if key in row else "" for key in ("mse", "mse_error", "median", "p99", "ratio")]
         gain = [_number(row["gain"]), _interval(row.get("gain_interval"))] if "gain" in row else ["", ""]
         flagged = f"{row['fallback']:.1%}" if "fallback" in row else ""
         lines.append((design, *numbers, _interval(row.get("ratio_interval")), *gain, flagged))
