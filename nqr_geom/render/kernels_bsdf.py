@@ -125,10 +125,11 @@ def fresnel_conductor(cosine: wp.float64, eta: wp.float64, k: wp.float64) -> wp.
     t0 = eta * eta - k * k - s2
     ab = wp.sqrt(t0 * t0 + wp.float64(4.0) * eta * eta * k * k)
     a = wp.sqrt(wp.max(_ZERO, _HALF * (ab + t0)))
-    senkrecht = (ab + c2 - _TWO * a * cosine) / (ab + c2 + _TWO * a * cosine)
+    t1 = ab + c2
+    t2 = _TWO * a * cosine
     t3 = c2 * ab + s2 * s2
-    t4 = _TWO * a * cosine * s2
-    return _HALF * senkrecht * (_ONE + (t3 - t4) / (t3 + t4))
+    # Half of (t1 - t2) / (t1 + t2), the part square to the plane, times 1 + (t3 - t4) / (t3 + t4), t4 = t2 s2.
+    return (t1 - t2) * t3 / ((t1 + t2) * (t3 + t2 * s2))
 
 
 @wp.func

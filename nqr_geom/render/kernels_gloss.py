@@ -5,6 +5,8 @@ and with t = a tan(beta) the radiance of a lobe of roughness a is, without a pea
 
     G1(o) / (2 pi o_z)  int dphi int dbeta  sin(2 beta) F G1(w) (o.h)        w = 2 (o.h)/(h.h) h - o.
 
+Points are Gauss's in tan(beta / 2), by which everything is rational or a root: no trigonometry along a ray.
+
 Along a ray of slopes "w sees the sphere" and "w is above the surface" are quadratic in t, so that the limits of beta
 come from roots; the rays that touch the sphere are roots of a quadratic form in (cos phi, sin phi). Slopes that reflect
 to a sphere lie inside a conic (outside, if it hides the direction against the viewer), and those that reflect above
@@ -23,7 +25,7 @@ from nqr_geom.render.kernels_bsdf import Surface, fresnel, unmasked
 
 __all__ = ["GAUSS", "gauss", "gauss_points", "gloss"]
 
-GAUSS = 5  # points of a stretch of beta
+GAUSS = 5  # points of a stretch of tan(beta / 2)
 
 
 @lru_cache(maxsize=16)
@@ -42,7 +44,9 @@ _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
 _THREE = wp.constant(wp.float64(3.0))
 _SIX = wp.constant(wp.float64(6.0))
+_EIGHT = wp.constant(wp.float64(8.0))
 _PI = wp.constant(wp.float64(3.141592653589793))
+_LONG = wp.constant(wp.int32(2))  # pieces of a stretch longer than 1/2 for one of another
 
 
 @wp.func
@@ -257,25 +261,33 @@ def fan_of(sight: Sight, alpha: wp.float64) -> Fan:
 
 
 @wp.func
+def half_tangent(t: wp.float64, alpha: wp.float64) -> wp.float64:
+    """tan(beta / 2) of a slope t = alpha tan(beta)."""
+    return t / (alpha + wp.sqrt(alpha * alpha + t * t))
+
+
+@wp.func
 def along(
     s: Surface, out: wp.vec3d, x: wp.float64, y: wp.float64, first: wp.float64, last: wp.float64, pieces: wp.int32
 ) -> wp.vec3d:
-    """Integral over slopes a tan(beta) in the direction (x, y), beta from `first` to `last`."""
+    """Integral over slopes a tan(beta) in the direction (x, y), tan(beta / 2) from `first` to `last`."""
     total = wp.vec3d()
-    size = (last - first) / wp.float64(pieces)
-    for piece in range(pieces):
+    parts = wp.where(last - first > _HALF, _LONG * pieces, pieces)
+    size = (last - first) / wp.float64(parts)
+    for piece in range(parts):
         for i in range(GAUSS):
             point = gauss(i)
-            beta = first + size * (wp.float64(piece) + point[0])
-            t = s.roughness * wp.tan(beta)
-            h = wp.vec3d(t * x, t * y, _ONE)
-            square = _ONE + t * t
+            tangent = first + size * (wp.float64(piece) + point[0])
+            slope = _TWO * s.roughness * tangent
+            h = wp.vec3d(slope * x, slope * y, _ONE - tangent * tangent)
+            square = wp.dot(h, h)
             seen = wp.dot(out, h)
             w = (_TWO * seen / square) * h - out
             if w[2] > _ZERO:
-                weight = size * point[1] * wp.sin(_TWO * beta) * seen * unmasked(w, s.roughness)
+                below = _ONE + tangent * tangent  # sin(2 beta) dbeta / h_z is 8 tangent dtangent / below^3
+                weight = size * point[1] * tangent / (below * below * below) * seen * unmasked(w, s.roughness)
                 total += weight * fresnel(s, wp.min(seen / wp.sqrt(square), _ONE))
-    return total
+    return _EIGHT * total
 
 
 @wp.func
@@ -325,8 +337,10 @@ def gloss(s: Surface, out: wp.vec3d, axis: wp.vec3d, cone: wp.float64, points: w
             y = (sine * fan.y - cosine * fan.x) / wp.sqrt(square)
             seen = stretch_of(sight, x, y)
             for side in range(2):
-                first = wp.atan2(wp.where(side == 0, seen.low, seen.again), s.roughness)
-                last = wp.atan2(wp.where(side == 0, seen.high, seen.end), s.roughness)
+                first = wp.where(side == 0, seen.low, seen.again)
+                last = wp.where(side == 0, seen.high, seen.end)
                 if first < last:
+                    first = half_tangent(first, s.roughness)
+                    last = half_tangent(last, s.roughness)
                     total += weight * along(s, out, x, y, first, last, (rays + 11) / 12)
     return total * (unmasked(out, s.roughness) / (_TWO * _PI * out[2]))
