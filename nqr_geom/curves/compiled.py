@@ -54,6 +54,18 @@ def _at(c, k, s):
     return x, y, tx, ty, piece
 
 
+@_inline
+def _with_term(f, i, total, squares, cubes, fourths):
+    """Mean, and sums of powers 2 to 4 of the deviations, with term number i (Pebay 2008)."""
+    step = f - total
+    part = step / (i + 1)
+    spread = step * (f - (total + part))
+    # Higher moments before the second is brought up to date.
+    fourths += part * (part * (spread * (i * i - i + 1) + 6.0 * squares) - 4.0 * cubes)
+    cubes += part * (spread * (i - 1) - 3.0 * squares)
+    return total + part, squares + spread, cubes, fourths
+
+
 @_kernel
 def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, moments, start, stop):
     for b in range(start, stop):
@@ -69,14 +81,7 @@ def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, mo
             x -= px
             y -= py
             f = (x * ty - y * tx) / (2.0 * math.pi * max(x * x + y * y, _TINY))
-            step = f - total
-            part = step / (i + 1)
-            total += part
-            spread = step * (f - total)
-            # Higher moments before the second is brought up to date (Pebay 2008).
-            fourths += part * (part * (spread * (i * i - i + 1) + 6.0 * squares) - 4.0 * cubes)
-            cubes += part * (spread * (i - 1) - 3.0 * squares)
-            squares += spread
+            total, squares, cubes, fourths = _with_term(f, i, total, squares, cubes, fourths)
         moments[0, b], moments[1, b], moments[2, b], moments[3, b] = total, squares, cubes, fourths
 
 
@@ -196,6 +201,17 @@ def _holds(q):
     return xl <= 0.0 and xh >= 0.0 and yl <= 0.0 and yh >= 0.0, max(xh - xl, yh - yl)
 
 
+@_inline
+def _halves(q):
+    """Control points of both halves of a cubic."""
+    x0, y0, x1, y1, x2, y2, x3, y3 = q
+    ax, ay, bx, by = (x0 + x1) / 2.0, (y0 + y1) / 2.0, (x1 + x2) / 2.0, (y1 + y2) / 2.0
+    cx, cy = (x2 + x3) / 2.0, (y2 + y3) / 2.0
+    dx, dy, ex, ey = (ax + bx) / 2.0, (ay + by) / 2.0, (bx + cx) / 2.0, (by + cy) / 2.0
+    mx, my = (dx + ex) / 2.0, (dy + ey) / 2.0
+    return (x0, y0, ax, ay, dx, dy, mx, my), (mx, my, ex, ey, cx, cy, x3, y3)
+
+
 @_function
 def _descend(q, error, stack, levels):
     """Signed crossings of a cubic whose box holds the origin, by halving, and whether its side is in doubt."""
@@ -213,18 +229,7 @@ def _descend(q, error, stack, levels):
             doubtful |= small
             turns += _turn(x0, y0, x3, y3)
             continue
-        ax, ay, bx, by, cx, cy = (
-            (x0 + x1) / 2,
-            (y0 + y1) / 2,
-            (x1 + x2) / 2,
-            (y1 + y2) / 2,
-            (x2 + x3) / 2,
-            (y2 + y3) / 2,
-        )
-        dx, dy, ex, ey = (ax + bx) / 2, (ay + by) / 2, (bx + cx) / 2, (by + cy) / 2
-        mx, my = (dx + ex) / 2, (dy + ey) / 2
-        stack[top] = (x0, y0, ax, ay, dx, dy, mx, my)
-        stack[top + 1] = (mx, my, ex, ey, cx, cy, x3, y3)
+        stack[top], stack[top + 1] = _halves((x0, y0, x1, y1, x2, y2, x3, y3))
         levels[top] = levels[top + 1] = level + 1
         top += 2
     return turns, doubtful
@@ -264,6 +269,16 @@ def _reach(s, r, t, i, j, to):
     return (
         r[i, 0], r[i, 1], r[i, 0] + third * t[i, 0], r[i, 1] + third * t[i, 1],
         ex - third * sx, ey - third * sy, ex, ey,
+    )  # fmt: skip
+
+
+@_inline
+def _through(s, r, t, i, j):
+    """Bezier control points of the cubic from sample i to sample j."""
+    third = (s[j] - s[i]) / 3.0
+    return (
+        r[i, 0], r[i, 1], r[i, 0] + third * t[i, 0], r[i, 1] + third * t[i, 1],
+        r[j, 0] - third * t[j, 0], r[j, 1] - third * t[j, 1], r[j, 0], r[j, 1],
     )  # fmt: skip
 
 
@@ -320,11 +335,7 @@ def _rebuilt(s, r, t, piece, k, order, stack, levels):
         run += 1
         if after:
             j = order[g + 1]
-            third = (s[j] - s[i]) / 3.0
-            q = (
-                r[i, 0], r[i, 1], r[i, 0] + third * t[i, 0], r[i, 1] + third * t[i, 1],
-                r[j, 0] - third * t[j, 0], r[j, 1] - third * t[j, 1], r[j, 0], r[j, 1],
-            )  # fmt: skip
+            q = _through(s, r, t, i, j)
             if _holds(q)[0]:
                 count, doubt = _descend(q, _gap_error(s, r, t, piece, order, g), stack, levels)
                 turns += count

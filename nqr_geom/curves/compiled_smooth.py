@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
-from nqr_geom.curves.compiled import Floats, Ints, _at, _place, _reach, _sort
+from nqr_geom.curves.compiled import Floats, Ints, _at, _halves, _place, _reach, _sort, _through, _with_term
 from nqr_geom.integrator.samplers import gauss_legendre
 from nqr_geom.keyed import mixed, unit, unsigned
 
@@ -56,14 +56,7 @@ def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, al
         total, squares, cubes, fourths = 0.0, 0.0, 0.0, 0.0
         for i in range(n):
             f = math.exp(-alpha * (distance[i] - shift)) * speed[i]
-            step = f - total
-            part = step / (i + 1)
-            total += part
-            spread = step * (f - total)
-            # Higher moments before the second is brought up to date (Pebay 2008).
-            fourths += part * (part * (spread * (i * i - i + 1) + 6.0 * squares) - 4.0 * cubes)
-            cubes += part * (spread * (i - 1) - 3.0 * squares)
-            squares += spread
+            total, squares, cubes, fourths = _with_term(f, i, total, squares, cubes, fourths)
         moments[0, b], moments[1, b], moments[2, b], moments[3, b] = total, squares, cubes, fourths
         nearest[b] = shift
 
@@ -135,13 +128,7 @@ def _add(q, alpha, shift, so_far, stack, levels):  # type: ignore[no-untyped-def
             (2.0 * legs <= near and even) or alpha * legs <= _KINK
         )
         if not sure and level < _LEVELS - 1:
-            ax, ay, bx, by, dx, dy = (
-                (x0 + x1) / 2.0, (y0 + y1) / 2.0, (x1 + x2) / 2.0, (y1 + y2) / 2.0, (x2 + x3) / 2.0, (y2 + y3) / 2.0,
-            )  # fmt: skip
-            ex, ey, fx, fy = (ax + bx) / 2.0, (ay + by) / 2.0, (bx + dx) / 2.0, (by + dy) / 2.0
-            mx, my = (ex + fx) / 2.0, (ey + fy) / 2.0
-            stack[top] = (mx, my, fx, fy, dx, dy, x3, y3)
-            stack[top + 1] = (x0, y0, ax, ay, ex, ey, mx, my)
+            stack[top + 1], stack[top] = _halves((x0, y0, x1, y1, x2, y2, x3, y3))
             levels[top] = levels[top + 1] = level + 1
             top += 2
             continue
@@ -197,13 +184,7 @@ def _rebuilt_rows(  # type: ignore[no-untyped-def]
             if first and s[i] > low:
                 _add(_reach(s, r, t, i, order[g + 1] if after else -1, low), alpha, shift, so_far, stack, levels)
             if after:
-                j = order[g + 1]
-                third = (s[j] - s[i]) / 3.0
-                q = (
-                    r[i, 0], r[i, 1], r[i, 0] + third * t[i, 0], r[i, 1] + third * t[i, 1],
-                    r[j, 0] - third * t[j, 0], r[j, 1] - third * t[j, 1], r[j, 0], r[j, 1],
-                )  # fmt: skip
-                _add(q, alpha, shift, so_far, stack, levels)
+                _add(_through(s, r, t, i, order[g + 1]), alpha, shift, so_far, stack, levels)
             if last:
                 if s[i] < high:
                     before = not first and s[i] > s[order[g - 1]]
