@@ -21,8 +21,8 @@ __all__ = ["rebuilt", "sampled"]
 _TINY = 1e-280
 _SHORTEST = 1e-300
 _LEVELS = 60  # as in `hermite`, as all that follows
-_SPREAD = 3.0
-_UNSEEN = 45.0
+_SPREAD = 6.0
+_UNSEEN = 36.0
 _KINK = 1e-5
 _NODES, _WEIGHTS = gauss_legendre(8)
 

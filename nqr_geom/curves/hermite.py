@@ -18,7 +18,8 @@ from nqr_geom.integrator.samplers import gauss_legendre
 __all__ = ["Segments", "child_errors", "log_integral", "reconstruct", "tangents", "winding"]
 
 _LEVELS = 60  # halvings after which a query is taken to lie on the segment
-SPREAD = 3.0  # largest exponent that varies over a segment
+SPREAD = 6.0  # largest exponent that varies over a segment
+UNSEEN = 36.0  # an exponent that far below the nearest is not seen in double precision
 _TINY = 1e-300
 _QUADRATIC = 1e-9  # a cubic term below this part of the linear one is rounding
 
@@ -298,7 +299,7 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tens
         sharp = alpha[row]
         ends = torch.linalg.vector_norm(control[:, [0, 3]], dim=-1).amin(dim=1)
         closest = closest.scatter_reduce(0, row, ends, "amin")
-        seen = sharp * (nearest - closest[row]) < 45.0
+        seen = sharp * (nearest - closest[row]) < UNSEEN
         behind = (sharp * (nearest - shift[row])).clamp_min(0.0)
         tame = sharp * (farthest - nearest) <= SPREAD * (1.0 + behind / 16.0)
         sure = tame & (((2.0 * legs <= nearest) & _even(control)) | (sharp * legs <= 1e-5))
