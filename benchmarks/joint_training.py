@@ -66,8 +66,10 @@ def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float, path: P
     for colour, (name, points) in zip(SEVERAL, curves.items(), strict=False):
         at, mse = np.array(points).T
         axes.plot(at, monte_carlo / mse, color=colour, label=name, linestyle="--" if "frozen" in name else "-")
+    for part in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
+        part("{x:g}")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.14), frameon=False)
     save(made, path)
 
 
