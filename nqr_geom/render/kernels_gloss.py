@@ -262,7 +262,10 @@ def fan_of(sight: Sight, alpha: wp.float64) -> Fan:
 
 @wp.func
 def half_tangent(t: wp.float64, alpha: wp.float64) -> wp.float64:
-    """tan(beta / 2) of a slope t = alpha tan(beta)."""
+    """tan(beta / 2) of a slope t = alpha tan(beta), which may be infinite."""
+    if t > alpha:
+        cotangent = alpha / t
+        return _ONE / (cotangent + wp.sqrt(cotangent * cotangent + _ONE))
     return t / (alpha + wp.sqrt(alpha * alpha + t * t))
 
 

@@ -136,7 +136,7 @@ def test_lamps_of_any_size_are_continuous() -> None:
     np.testing.assert_allclose(brightness, brightness[[0]].repeat(len(sizes), axis=0), rtol=2e-5)
 
 
-@pytest.mark.parametrize("cosine", [1e-12, 1e-6, 1e-3, 0.05])
+@pytest.mark.parametrize("cosine", [1e-310, 1e-200, 1e-12, 1e-6, 1e-3, 0.05])
 @pytest.mark.parametrize("alpha", [1e-4, 0.1, 1.0])
 def test_grazing_viewers_see_finite_radiance_below_that_of_the_lamp(cosine: float, alpha: float) -> None:
     views = np.array([[-np.sqrt(1.0 - cosine**2), 0.0, cosine]])
