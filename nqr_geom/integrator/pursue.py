@@ -37,6 +37,7 @@ _GROWTH = 16.0  # of one level over the last at most
 _FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like,
 _WORTH = 0.3  # unless it takes more than this part of their time
 _NEARLY = 1.1  # times the time of the samples that should do it is not worth sparing: calls cost something, too
+_PLENTY = 0.1  # of a tolerance: where the forecast is below, more samples are of no use
 _NEAR = 3  # times the samples of the level before at most, and a level of a design is checked against that one
 _PILOT = 0.08  # of a budget goes into finding out how fast this problem is
 _LEVELS, _CAREFUL = 8, 6.0  # of them at most, and how much bigger each: costs do not grow in proportion for ever
@@ -88,8 +89,11 @@ class _Answer:
         width = found.value.shape[1]
         if self.value.shape[1] != width:
             self.value, self.inner = (np.full((len(self.value), width), np.nan) for _ in range(2))
-        keep = (bound <= self.error[rows]) | ~np.isfinite(self.error[rows])
-        at = rows[keep]
+        if self.last is None and len(rows) == len(self.value):  # the first answer, to everything
+            at = keep = slice(None)
+        else:
+            keep = (bound <= self.error[rows]) | ~np.isfinite(self.error[rows])
+            at = rows[keep]
         self.value[at], self.inner[at], self.error[at] = found.value[keep], found.inner[keep], bound[keep]
         self.fallback[at] = found.fallback[keep]
         for name in ("m2", "m3", "m4"):
@@ -196,6 +200,8 @@ def _start(sampling: _Sampling, forecast: Forecast) -> int:
     part, seconds = max(way.least, math.ceil(_FIRST * whole)), seconds_of(way, goal, whole)
     if seconds_of(way, goal, part) < _WORTH * seconds:
         return part
+    if goal.tol is not None and forecast.error < _PLENTY * goal.tol:
+        return whole
     return min(max(whole, most_within(way, goal, _NEARLY * seconds) or whole), most)
 
 
