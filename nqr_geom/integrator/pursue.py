@@ -89,9 +89,9 @@ class _Answer:
         width = found.value.shape[1]
         if self.value.shape[1] != width:
             self.value, self.inner = (np.full((len(self.value), width), np.nan) for _ in range(2))
-        if self.last is None and len(rows) == len(self.value):  # the first answer, to everything
-            at = keep = slice(None)
-        else:
+        at: Any = slice(None)  # the first answer is to everything
+        keep: Any = at
+        if self.last is not None or len(rows) < len(self.value):
             keep = (bound <= self.error[rows]) | ~np.isfinite(self.error[rows])
             at = rows[keep]
         self.value[at], self.inner[at], self.error[at] = found.value[keep], found.inner[keep], bound[keep]

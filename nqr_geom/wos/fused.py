@@ -1,13 +1,18 @@
-"""Walks and the rule that rebuilds what they saw, in one compiled pass: no walk is written down."""
+"""Walks and the rule that rebuilds what they saw, compiled: no walk is written down, only what it saw.
+
+Linear boundary values are read on the way. A user's function is asked between walking and rebuilding, for some hundred
+queries at a time.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from numba import njit
+from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Whole
@@ -15,6 +20,7 @@ from nqr_geom.integrator.samplers import LatinHypercube, Random, Sampler
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 from nqr_geom.wos.average import average, room_for
+from nqr_geom.wos.domain import evaluated
 from nqr_geom.wos.explore import NUMBERS, explored, space_for, table_of
 from nqr_geom.wos.problems import LaplaceProblem
 from nqr_geom.wos.spread import WalkSpread
@@ -22,7 +28,11 @@ from nqr_geom.wos.structured import WalkFit
 
 __all__ = ["whole_of"]
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 _FEW = 64  # samples of which ranks are counted rather than sorted
+_ASKED = 2**17  # boundary points at most, of several queries, that a user's function is asked for at once
 
 _kernel = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -45,32 +55,122 @@ def _latin(key, order, n, most, bits, x):  # type: ignore[no-untyped-def]
             x[w, j] = (x[w, j] + unit(mixed(mixed(key, w), j))) / n
 
 
+class Walks(NamedTuple):
+    """Walks from B queries, as kernels take them; arrays are those of `explored`.
+
+    Attributes
+    ----------
+    of, rows : (B,) int64
+        Polygon and global index of each query.
+    start : (B, 2) float64
+        The queries.
+    n, most : int
+        Walks from each, and steps that one may take.
+    key, order : uint64
+        Of the samples' numbers, and of their order in a Latin hypercube.
+    latin, spread : bool
+        Whether samples are a Latin hypercube, and whether walks are directed.
+    """
+
+    edges: Floats
+    size: Floats
+    grid: Floats
+    shape: Ints
+    first: Ints
+    items: NDArray[np.int32]
+    arc: Floats
+    linear: Floats
+    of: Ints
+    start: Floats
+    rows: Ints
+    epsilon: float
+    rim: float
+    n: int
+    most: int
+    key: np.uint64
+    order: np.uint64
+    latin: bool
+    spread: bool
+    floor: float
+    smallest: float
+    table: Floats
+
+
 @_kernel
-def _rows(  # type: ignore[no-untyped-def]
-    edges, size, grid, shape, first, items, arc, linear, loops, of, start, rows, epsilon, n, most, key, order, latin,
-    spread, floor, smallest, table, rim, step, fade, least, low, high, value, lost, work,
-):  # fmt: skip
-    """Rows low .. high: answers (B,), measure that was cut off (B,), and steps and capped walks (B, 2)."""
-    x, density, bits = np.empty((n, most)), np.empty(n), np.empty(n, np.int64)
-    seen, space, room = np.empty((n * (most + 1), NUMBERS)), space_for(n, table.shape[1]), room_for(n * (most + 1))
+def _explore(walks, b, x, density, bits, space, seen, work):  # type: ignore[no-untyped-def]
+    """The walks of row b: how many points they saw. Writes these, and steps and capped walks."""
+    own = mixed(walks.key, walks.rows[b])
+    if walks.latin:
+        _latin(own, mixed(walks.order, walks.rows[b]), walks.n, walks.most, bits, x)
+    else:
+        for w in range(walks.n):
+            walk = mixed(own, w)
+            for j in range(walks.most):
+                x[w, j] = unit(mixed(walk, j))
+    count, work[b, 0], work[b, 1] = explored(
+        walks.edges, walks.size, walks.grid, walks.shape, walks.first, walks.items, walks.arc, walks.linear,
+        walks.of[b], walks.start[b, 0], walks.start[b, 1], walks.epsilon, walks.rim, x, own, walks.spread,
+        walks.floor, walks.smallest, walks.table, space, False, density, seen,
+    )  # fmt: skip
+    return count
+
+
+@_kernel
+def _space(walks):  # type: ignore[no-untyped-def]
+    """Room for `_explore`: points, densities, bits, and what `explored` needs."""
+    n = walks.n
+    return np.empty((n, walks.most)), np.empty(n), np.empty(n, np.int64), space_for(n, walks.table.shape[1])
+
+
+@_kernel
+def _rows(walks, loops, step, fade, least, low, high, value, lost, work):  # type: ignore[no-untyped-def]
+    """Rows low .. high on linear values: answers (B,), measure that was cut off (B,), and the work (B, 2)."""
+    most = walks.n * (walks.most + 1)
+    seen, room = np.empty((most, NUMBERS)), room_for(most)
+    x, density, bits, space = _space(walks)
     for b in range(low, high):
-        own = mixed(key, rows[b])
-        if latin:
-            _latin(own, mixed(order, rows[b]), n, most, bits, x)
-        else:
-            for w in range(n):
-                walk = mixed(own, w)
-                for j in range(most):
-                    x[w, j] = unit(mixed(walk, j))
-        count, work[b, 0], work[b, 1] = explored(
-            edges, size, grid, shape, first, items, arc, linear, of[b], start[b, 0], start[b, 1], epsilon, rim, x, own,
-            spread, floor, smallest, table, space, False, density, seen,
-        )  # fmt: skip
+        count = _explore(walks, b, x, density, bits, space, seen, work)
         value[b], _, lost[b], _ = average(seen, count, loops[b], step, fade, least, False, room)
 
 
+@_kernel
+def _seen_rows(walks, base, low, high, seen, counts, work):  # type: ignore[no-untyped-def]
+    """What the walks of rows base + low .. base + high see, (rows, k, 6), and how much that is."""
+    x, density, bits, space = _space(walks)
+    for b in range(low, high):
+        counts[b] = _explore(walks, base + b, x, density, bits, space, seen[b], work)
+
+
+@_kernel
+def _average_rows(seen, counts, loops, step, fade, least, base, low, high, value, lost):  # type: ignore[no-untyped-def]
+    """Answers to rows base + low .. base + high from what was seen."""
+    room = room_for(seen.shape[1])
+    for b in range(low, high):
+        value[base + b], _, lost[base + b], _ = average(
+            seen[b], counts[b], loops[base + b], step, fade, least, False, room
+        )
+
+
+def _asked(
+    problem: LaplaceProblem, walks: Walks, fit: tuple[Any, ...], base: int, seen: Floats, out: tuple[Any, ...]
+) -> None:
+    """Rows from `base` on, as many as `seen` has room for, on boundary values of which some are a user's function."""
+    explore, rebuild = cast("tuple[Any, Any]", (_seen_rows, _average_rows))
+    value, lost, work = out
+    counts, of = np.empty(len(seen), np.int64), problem.groups[base : base + len(seen)]
+    over_rows(lambda i, j: explore(walks, base, i, j, seen, counts, work), len(seen))
+    there = np.arange(seen.shape[1]) < counts[:, None]
+    for k in np.unique(of):
+        boundary = problem.boundaries[k]
+        if boundary.function is not None:
+            on = there & (of == k)[:, None]
+            points = seen[on, 1:3] + np.repeat(walks.start[base : base + len(seen)], on.sum(axis=1), axis=0)
+            seen[on, 3] = evaluated("boundary", boundary.function, boundary.domain.from_frame(points))
+    over_rows(lambda i, j: rebuild(seen, counts, *fit, base, i, j, value, lost), len(seen))
+
+
 def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
-    """The compiled pass over a pair, where there is one: `walk-fit` on linear boundary values.
+    """The compiled pass over a pair, where there is one: `walk-fit` on walks of some samplers.
 
     Rows that the rule is in doubt of are done again by the pair itself, walk by walk.
     """
@@ -84,23 +184,28 @@ def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> 
     spread = sampler if isinstance(sampler, WalkSpread) else None
     if spread is not None and (n > spread.most or spread.rim != rule.rim):
         return None
-    values = [boundary.linear for boundary in problem.boundaries if boundary.linear is not None]
-    if len(values) < len(problem.boundaries):
-        return None
+    values = [np.zeros((len(b.domain.start), 2)) if b.linear is None else b.linear for b in problem.boundaries]
+    asks = any(boundary.function is not None for boundary in problem.boundaries)
 
     def whole(stream: Stream) -> Whole:
-        linear, loops = np.concatenate(values), problem.loops().numpy()
         start, rows = (np.ascontiguousarray(t.numpy()) for t in (problem.points, problem.rows))
         key, order = unsigned(stream.key), unsigned(stream.child("order").key)
         how = spread or WalkSpread()
-        inputs: tuple[Any, ...] = (
-            *problem.geometry, problem.arcs, linear, loops, problem.outline, start, rows, problem.epsilon, n,
-            problem.dim, key, order, isinstance(sampler, LatinHypercube), spread is not None, how.floor, how.smallest,
-            table_of(how.bins), rule.rim, rule.step, rule.fade, rule.least,
+        walks = Walks(
+            *problem.geometry, problem.arcs, np.concatenate(values), problem.outline, start, rows, problem.epsilon,
+            rule.rim, n, problem.dim, key, order, isinstance(sampler, LatinHypercube), spread is not None, how.floor,
+            how.smallest, table_of(how.bins),
         )  # fmt: skip
+        fit = (problem.loops().numpy(), rule.step, rule.fade, rule.least)
         value, lost, work = np.empty(problem.batch), np.empty(problem.batch), np.empty((problem.batch, 2), np.int64)
-        kernel: Any = _rows
-        over_rows(lambda i, j: kernel(*inputs, i, j, value, lost, work), problem.batch)
+        if asks:
+            most = n * (problem.dim + 1)
+            room = np.empty((min(max(1, _ASKED // most), problem.batch), most, NUMBERS))
+            for base in range(0, problem.batch, len(room)):
+                _asked(problem, walks, fit, base, room[: problem.batch - base], (value, lost, work))
+        else:
+            kernel: Any = _rows
+            over_rows(lambda i, j: kernel(walks, *fit, i, j, value, lost, work), problem.batch)
         steps, capped = (int(total) for total in work.sum(axis=0))
         inner = torch.from_numpy(value)[:, None]
         doubtful = torch.from_numpy(~(lost <= rule.doubt))

@@ -68,17 +68,34 @@ def test_rows_in_doubt_are_means_of_whole_walks(sampler: str) -> None:
     np.testing.assert_allclose(one.value, two.value, rtol=0.0, atol=1e-14)
 
 
-def test_other_pairs_and_values_go_the_long_way() -> None:
+def test_other_pairs_go_the_long_way() -> None:
     problem, rule = LaplaceProblem.family(1, points=2), WalkFit()
     assert problem.compiled(LatinHypercube(), registry.make("rule", "mc"), 8) is None
     assert problem.compiled(registry.make("sampler", "sobol"), rule, 8) is None
     assert problem.compiled(WalkSpread(rim=0.1), rule, 8) is None
-    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    by_function = LaplaceProblem.of(square, lambda p: p[:, 0], [[0.3, 0.4]])
-    assert by_function.compiled(LatinHypercube(), rule, 8) is None
-    linear = LaplaceProblem.of(square, [0.0, 1.0, 1.0, 0.0], [[0.3, 0.4]])
-    values = [run(each, LatinHypercube(), rule, 8).value for each in (by_function, linear)]
-    np.testing.assert_allclose(*values, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_a_function_is_asked_where_walks_saw_the_boundary(sampler: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some queries at a time, on domains of which some have linear values."""
+    monkeypatch.setattr(fused, "_ASKED", 1700)  # room for four queries
+    family, outline = (
+        LaplaceProblem.family(3, points=5),
+        [[10.0, 0.0], [14.0, 0.0], [14.0, 3.0], [12.0, 1.0], [10.0, 3.0]],
+    )
+    own = Domain.of(outline)
+    bent = own.boundary(lambda p: np.cos(p[:, 0]) * p[:, 1])
+    inside = own.to_frame([[10.5, 0.5], [13.0, 1.0], [13.8, 2.0]])
+    framed = [family.points[family.groups == k].numpy() for k in range(3)]
+    problem = LaplaceProblem.joined([*family.boundaries, bent], [*framed, inside], 12, 1e-3)
+    problem = problem.take(torch.tensor([0, 16, 1, 2, 6, 17, 7, 15, 12]))
+    pair = registry.make("sampler", sampler), WalkFit()
+    one, two = run(problem, *pair, 32, seed=3), run(plain(problem), *pair, 32, seed=3)
+    np.testing.assert_allclose(one.value, two.value, rtol=0.0, atol=1e-11)
+    assert_array_equal(one.fallback, two.fallback)
+    wrong = replace(problem, boundaries=(*family.boundaries, own.boundary(lambda p: p)))
+    with pytest.raises(ValueError, match="boundary: expected a callable that gives shape"):
+        run(wrong, *pair, 8)
 
 
 @njit
