@@ -10,14 +10,16 @@ a 95% interval by a bootstrap over scenes. PSNR and SSIM (scikit-image, not a de
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from comparison import trained_sampler
+from figures import DOCS, figure, save
 from learned import write_cards
 from rich.console import Console
 from rich.table import Table
-from shapes import RESULTS, write
+from shapes import write
 
 from nqr_geom import recipes, registry
 from nqr_geom.integrator.bootstrap import Bootstrap
@@ -25,7 +27,6 @@ from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.learn.snet import LearnedSampler
 from nqr_geom.integrator.samplers import Sampler
 from nqr_geom.render.direct_problem import DirectProblem
-from nqr_geom.render.film import save_picture
 from nqr_geom.render.scene_gallery import gallery
 
 PASSES = 16
@@ -42,14 +43,16 @@ METHODS = {
     "INet stratified": ("pmj", "inet-direct-mis"),
 }
 PAIR = trained_sampler("direct")
-UNTRAINED = "known light, untrained SNet"  # where the pair began: stratified rounds
+UNTRAINED = "MC, untrained SNet"  # where the pair began: stratified rounds
 if PAIR is not None:
-    METHODS |= {UNTRAINED: ("untrained", "direct-known"), "known light, SNet": (PAIR[0], "direct-known"), JOINT: PAIR}
+    METHODS |= {UNTRAINED: ("untrained", "balance-heuristic"), "MC, SNet": (PAIR[0], "balance-heuristic"),
+                "known light, SNet": (PAIR[0], "direct-known"), JOINT: PAIR}  # fmt: skip
 # What a network is measured against: sampler and rule that it began as.
 BEGAN = {"INet random": "MC random", "INet stratified": "MC stratified", JOINT: UNTRAINED}
 # Means of Table 10, as multiples of random Monte Carlo's error taken from it.
 PAPER = {"MC random": 1.0, "Poly random": 0.34, "MC stratified": 4.1, "Poly stratified": 0.45, "INet random": 9.2,
          "INet stratified": 16.6, JOINT: 30.4}  # fmt: skip
+SHOWN = ("MC random", "MC stratified", "structured", "INet random", "INet stratified", JOINT)  # as pictures
 OUTSIDE = ("teaser", "white-room", "living-room", "staircase", "plates")
 
 
@@ -87,6 +90,28 @@ def quality(picture: Any, truth: Any, size: int) -> dict[str, float]:
         "psnr": float(peak_signal_noise_ratio(b, a, data_range=1.0)),
         "ssim": float(structural_similarity(b, a, data_range=1.0, channel_axis=2)),
     }
+
+
+def draw(outside: dict[str, Any], path: Path) -> None:
+    """Every scene outside the family by the methods that are `SHOWN`, with what they gain on it."""
+    from nqr_geom.render.film import exposed
+
+    names = [name for name in SHOWN if name in METHODS]
+    made = figure(1.55 * (len(names) + 1), 1.75 * len(outside))
+    axes = made.subplots(len(outside), len(names) + 1)
+    for line, (scene, found) in zip(axes, outside.items(), strict=True):
+        white = float(np.quantile(found["truth"].max(axis=1), 0.97))
+        plain = found["MC random"].mean()
+        for axis, name in zip(line, [*names, "truth"], strict=True):
+            picture = found["truth"] if name == "truth" else found[name, "picture"]
+            side = int(np.sqrt(len(picture)))
+            axis.imshow(exposed(picture.reshape(side, side, 3), white), interpolation="nearest")
+            axis.set(xticks=[], yticks=[])
+            axis.set_xlabel("" if name == "truth" else f"x {plain / found[name].mean():.3g}", fontsize=8)
+            if scene == next(iter(outside)):
+                axis.set_title(name, fontsize=8)
+        line[0].set_ylabel(scene, fontsize=8)
+    save(made, path)
 
 
 def main() -> None:
@@ -147,13 +172,7 @@ def main() -> None:
             base = recipes.rule_of(rule.removeprefix("inet-")).base
             write_cards([row | {"problem": "direct", "design": design, "rule": rule, "base": base}])
     print(write("direct_light", rows, scenes=count, resolution=size, seeds=seeds, passes=PASSES))
-    strips = []
-    for found in outside.values():
-        pictures = [found[name, "picture"] for name in METHODS] + [found["truth"]]
-        row_of = np.concatenate([picture.reshape(48, 48, 3) for picture in pictures], axis=1)
-        strips.append(row_of / float(np.quantile(found["truth"].max(axis=1), 0.97)))
-    strip = np.concatenate(strips).repeat(3, axis=0).repeat(3, axis=1)
-    save_picture(RESULTS.parent.parent / "docs" / "direct-light-methods.png", strip, 1.0)
+    draw(outside, DOCS / "direct-light-methods.png")
 
 
 if __name__ == "__main__":

@@ -8,8 +8,7 @@ OUTSIDE = ("teaser", "white-room", "living-room", "staircase", "plates")
 
 
 def methods(rows: list[Row]) -> str:
-    names = ", ".join(row["method"] for row in rows)
-    picture = f"\n![Five rooms by {names} at 16 passes, and the truth](direct-light-methods.png)\n"
+    picture = "\n![Five rooms at 16 passes, times below random passes, and the truth](direct-light-methods.png)\n"
     return (
         picture
         + "\n"

@@ -187,20 +187,6 @@ RECIPES: dict[str, Recipe] = {
             huber=0.25,
         ),
         Recipe(
-            name="direct-structured",
-            problem="direct",
-            family=direct_batch,
-            base="direct-known",
-            consistent="direct-known",
-            config=INetConfig(_DIRECT, positive=True),
-            sees=_DIRECT_SEES,
-            extra=KNOWN_TOKENS,
-            sizes=((16, 0.9), (8, 0.05), (32, 0.05)),
-            designs=("pmj", "pmj", "pmj", "random"),
-            largest=64,
-            huber=0.25,
-        ),
-        Recipe(
             name="laplace-uniform",
             problem="laplace",
             family=laplace_batch,
@@ -343,15 +329,14 @@ JOINT: dict[str, JointRecipe] = {
             heads=False,
         ),
         JointRecipe(
-            # Where nothing hides a lamp, direct-known is all but exact: pixels are learned from by its error there.
+            # Pixels whose lamps are partly hidden are learned from most: elsewhere there is little to place.
             replace(
-                RECIPES["direct-structured"],
+                RECIPES["direct-mis"],
                 name="direct-nqr",
                 family=doubtful_batch,
-                config=replace(RECIPES["direct-structured"].config, layers=1, width=32),
                 sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
             ),
-            "direct-structured",
+            "direct-mis",
             SNetConfig(
                 TokenConfig(dim=6, channels=3, frequencies=0, extra=SIGHT_TOKENS.size, blind=True),
                 layers=1,
@@ -360,10 +345,9 @@ JOINT: dict[str, JointRecipe] = {
                 grid=((8, 8, 8), (8, 8, 8)),
                 techniques=2,
                 together=8,
-                floor=0.1,
+                floor=0.4,
             ),
             LampSlabs,
-            heads=False,
             reads=SIGHT_TOKENS,
             credit=lamp_credit,
         ),

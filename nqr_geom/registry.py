@@ -91,6 +91,7 @@ _PAIRS = (
     ("sd-nqr", "sd", "samples placed by a network for smoothed distances, and the network that weighs them"),
     ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
     ("laplace-nqr", "laplace", "walks directed by a network step by step, and the network that weighs them"),
+    ("direct-nqr", "direct", "passes placed by a network in rounds, and the network that weighs them"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
 _DIMS = {"laplace": "12", "p-laplace": "12", "direct": "any"}  # of what networks know; else one
@@ -353,6 +354,7 @@ ALIASES: dict[str, str] = {
     "direct:random": "random+balance-heuristic",
     "direct:regression": "pmj+direct-regression-1",
     "direct:inet": "pmj+inet-direct-mis",
+    "direct:nqr": "snet-direct-nqr+inet-direct-nqr",
     "direct:structured": "lamp-spread+direct-known",
     "transmittance:random": "random+mc",
     "transmittance:stratified": "uniform-jitter+mc",

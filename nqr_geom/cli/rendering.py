@@ -25,7 +25,7 @@ def render(
     ] = "two-spheres",
     *,
     method: Annotated[
-        str, Parameter(help="random, mis, regression, structured, reference, or sampler+rule.")
+        str, Parameter(help="random, mis, regression, structured, inet, nqr, reference, or sampler+rule.")
     ] = "structured",
     spp: Annotated[int, Parameter(name=["--spp", "-n"], help="Passes a pixel.")] = 64,
     width: Annotated[int, Parameter(help="Pixels; a .json scene has its own.")] = 320,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # its kernels load Warp, which a recipe can do without
 
 __all__ = ["Pool", "direct_batch", "doubtful_batch", "pool"]
 
-ROOMS = {"train": 160, "validation": 24, "test": 24}
+ROOMS = {"train": 480, "validation": 24, "test": 24}
 RESOLUTION = 16  # pixels along each side, as in the paper
 PASSES, RUNS = 256, 4  # of an answer
 _TRIED, _MOST = 8, 30.0  # runs that tell how doubtful a pixel is, and the largest weight over the mean
