@@ -1,11 +1,12 @@
-"""Walks and the rule that rebuilds what they saw, compiled: no walk is written down, only what it saw.
+"""Walks and what is made of them, compiled: means of their ends, or the rule that rebuilds what they saw.
 
-Linear boundary values are read on the way. A user's function is asked between walking and rebuilding, for some hundred
-queries at a time.
+No walk is written down. Linear boundary values are read on the way; a user's function is asked between walking and
+rebuilding, for some hundred queries at a time.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
@@ -16,12 +17,15 @@ from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Whole
+from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.integrator.samplers import LatinHypercube, Random, Sampler
+from nqr_geom.integrator.sums import row_mean, row_sum
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 from nqr_geom.wos.average import average, room_for
 from nqr_geom.wos.domain import evaluated
 from nqr_geom.wos.explore import NUMBERS, explored, space_for, table_of
+from nqr_geom.wos.nearest import BINS, nearest, nearest_of_all
 from nqr_geom.wos.problems import LaplaceProblem
 from nqr_geom.wos.spread import WalkSpread
 from nqr_geom.wos.structured import WalkFit
@@ -31,6 +35,7 @@ __all__ = ["whole_of"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_TURN = 2.0 * math.pi
 _FEW = 64  # samples of which ranks are counted rather than sorted
 _ASKED = 2**17  # boundary points at most, of several queries, that a user's function is asked for at once
 
@@ -97,16 +102,52 @@ class Walks(NamedTuple):
 
 
 @_kernel
+def _points(walks, b, bits, x):  # type: ignore[no-untyped-def]
+    """The samples x (n, D) of row b; the key of its numbers."""
+    own, n, most = mixed(walks.key, walks.rows[b]), walks.n, walks.most
+    if walks.latin:
+        _latin(own, mixed(walks.order, walks.rows[b]), n, most, bits, x)
+    else:
+        for w in range(n):
+            walk = mixed(own, w)
+            for j in range(most):
+                x[w, j] = unit(mixed(walk, j))
+    return own
+
+
+@_kernel
+def _end_rows(walks, low, high, edge, t, work):  # type: ignore[no-untyped-def]
+    """Where the walks of rows low .. high end, (B, n): closest edge and parameter; steps and capped walks (B, 2)."""
+    x, bits = np.empty((walks.n, walks.most)), np.empty(walks.n, np.int64)
+    edges, size, grid, shape, first, items = (  # looked up in the loop they would cost as much again
+        walks.edges, walks.size, walks.grid, walks.shape, walks.first, walks.items
+    )  # fmt: skip
+    epsilon, most = walks.epsilon, walks.most
+    for b in range(low, high):
+        _points(walks, b, bits, x)
+        s, steps, capped = walks.of[b], 0, 0
+        for w in range(walks.n):
+            px, py, inside = walks.start[b, 0], walks.start[b, 1], True
+            for j in range(most + 1):
+                e, where, square = nearest(edges, grid, shape, first, items, s, px, py)
+                if e < 0:
+                    e, where, square = nearest_of_all(edges, shape, s, px, py)
+                radius = math.sqrt(square)
+                inside = radius > max(epsilon * size[e, min(int(where * BINS), BINS - 1)], 1e-14)
+                if j == most or not inside:
+                    edge[b, w], t[b, w] = e, where
+                    break
+                steps += 1
+                angle = _TURN * x[w, j]
+                px, py = px + radius * math.cos(angle), py + radius * math.sin(angle)
+            capped += inside
+        work[b, 0], work[b, 1] = steps, capped
+
+
+@_kernel
 def _explore(walks, b, x, density, bits, space, seen, work):  # type: ignore[no-untyped-def]
     """The walks of row b: how many points they saw. Writes these, and steps and capped walks."""
-    own = mixed(walks.key, walks.rows[b])
-    if walks.latin:
-        _latin(own, mixed(walks.order, walks.rows[b]), walks.n, walks.most, bits, x)
-    else:
-        for w in range(walks.n):
-            walk = mixed(own, w)
-            for j in range(walks.most):
-                x[w, j] = unit(mixed(walk, j))
+    own = _points(walks, b, bits, x)
     count, work[b, 0], work[b, 1] = explored(
         walks.edges, walks.size, walks.grid, walks.shape, walks.first, walks.items, walks.arc, walks.linear,
         walks.of[b], walks.start[b, 0], walks.start[b, 1], walks.epsilon, walks.rim, x, own, walks.spread,
@@ -151,6 +192,21 @@ def _average_rows(seen, counts, loops, step, fade, least, base, low, high, value
         )
 
 
+def _fitted(problem: LaplaceProblem, walks: Walks, rule: WalkFit, work: Any) -> tuple[Floats, Floats]:
+    """Answers of `walk-fit` (B,) and measure that was cut off (B,)."""
+    fit = (problem.loops().numpy(), rule.step, rule.fade, rule.least)
+    value, lost = np.empty(problem.batch), np.empty(problem.batch)
+    if all(boundary.function is None for boundary in problem.boundaries):
+        kernel: Any = _rows
+        over_rows(lambda i, j: kernel(walks, *fit, i, j, value, lost, work), problem.batch)
+        return value, lost
+    most = walks.n * (walks.most + 1)
+    room = np.empty((min(max(1, _ASKED // most), problem.batch), most, NUMBERS))
+    for base in range(0, problem.batch, len(room)):
+        _asked(problem, walks, fit, base, room[: problem.batch - base], (value, lost, work))
+    return value, lost
+
+
 def _asked(
     problem: LaplaceProblem, walks: Walks, fit: tuple[Any, ...], base: int, seen: Floats, out: tuple[Any, ...]
 ) -> None:
@@ -169,52 +225,60 @@ def _asked(
     over_rows(lambda i, j: rebuild(seen, counts, *fit, base, i, j, value, lost), len(seen))
 
 
+def _means(problem: LaplaceProblem, walks: Walks, work: Any) -> dict[str, Any]:
+    """Means (B, 1) of the boundary values where walks end; of independent walks also sums of powers of deviations."""
+    kernel: Any = _end_rows
+    edge, t = np.empty((problem.batch, walks.n), np.int64), np.empty((problem.batch, walks.n))
+    over_rows(lambda i, j: kernel(walks, i, j, edge, t, work), problem.batch)
+    value = torch.from_numpy(problem.values(edge, t))
+    mean = row_mean(value)
+    if walks.latin or walks.n == 1:
+        return {"inner": mean[:, None]}
+    off = value - mean[:, None]
+    square = off.square()
+    powers = {"m2": square, "m3": square * off, "m4": square.square()}
+    return {"inner": mean[:, None], **{name: row_sum(power)[:, None] for name, power in powers.items()}}
+
+
 def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
-    """The compiled pass over a pair, where there is one: `walk-fit` on walks of some samplers.
+    """The compiled pass over a pair, where there is one: plain means or `walk-fit`, on walks of some samplers.
 
-    Rows that the rule is in doubt of are done again by the pair itself, walk by walk.
+    Rows that `walk-fit` is in doubt of are done again by the pair itself, walk by walk.
     """
-    if type(rule) is not WalkFit or not isinstance(sampler, Sampler):
+    if not isinstance(sampler, Sampler) or type(problem).evaluate is not LaplaceProblem.evaluate:
         return None
-    if (
-        type(sampler) not in (Random, LatinHypercube, WalkSpread)
-        or type(problem).evaluate is not LaplaceProblem.evaluate
-    ):
+    if type(rule) not in (WalkFit, MonteCarlo) or type(sampler) not in (Random, LatinHypercube, WalkSpread):
         return None
+    fit = rule if isinstance(rule, WalkFit) else None
     spread = sampler if isinstance(sampler, WalkSpread) else None
-    if spread is not None and (n > spread.most or spread.rim != rule.rim):
+    if spread is not None and (fit is None or n > spread.most or spread.rim != fit.rim):
         return None
-    values = [np.zeros((len(b.domain.start), 2)) if b.linear is None else b.linear for b in problem.boundaries]
-    asks = any(boundary.function is not None for boundary in problem.boundaries)
 
-    def whole(stream: Stream) -> Whole:
+    def walks_of(stream: Stream) -> Walks:
         start, rows = (np.ascontiguousarray(t.numpy()) for t in (problem.points, problem.rows))
+        values = [np.zeros((len(b.domain.start), 2)) if b.linear is None else b.linear for b in problem.boundaries]
         key, order = unsigned(stream.key), unsigned(stream.child("order").key)
         how = spread or WalkSpread()
-        walks = Walks(
+        return Walks(
             *problem.geometry, problem.arcs, np.concatenate(values), problem.outline, start, rows, problem.epsilon,
-            rule.rim, n, problem.dim, key, order, isinstance(sampler, LatinHypercube), spread is not None, how.floor,
-            how.smallest, table_of(how.bins),
+            fit.rim if fit else 0.0, n, problem.dim, key, order, isinstance(sampler, LatinHypercube),
+            spread is not None, how.floor, how.smallest, table_of(how.bins),
         )  # fmt: skip
-        fit = (problem.loops().numpy(), rule.step, rule.fade, rule.least)
-        value, lost, work = np.empty(problem.batch), np.empty(problem.batch), np.empty((problem.batch, 2), np.int64)
-        if asks:
-            most = n * (problem.dim + 1)
-            room = np.empty((min(max(1, _ASKED // most), problem.batch), most, NUMBERS))
-            for base in range(0, problem.batch, len(room)):
-                _asked(problem, walks, fit, base, room[: problem.batch - base], (value, lost, work))
+
+    def whole(stream: Stream) -> Whole:
+        walks, work = walks_of(stream), np.empty((problem.batch, 2), np.int64)
+        if fit is None:
+            found, doubtful = _means(problem, walks, work), torch.zeros(problem.batch, dtype=torch.bool)
         else:
-            kernel: Any = _rows
-            over_rows(lambda i, j: kernel(walks, *fit, i, j, value, lost, work), problem.batch)
+            value, lost = _fitted(problem, walks, fit, work)
+            found, doubtful = {"inner": torch.from_numpy(value)[:, None]}, torch.from_numpy(~(lost <= fit.doubt))
         steps, capped = (int(total) for total in work.sum(axis=0))
-        inner = torch.from_numpy(value)[:, None]
-        doubtful = torch.from_numpy(~(lost <= rule.doubt))
-        if doubtful.any():
+        if fit is not None and doubtful.any():
             part = problem.take(doubtful.nonzero()[:, 0])
             samples = sampler.draw(part, n, stream)
-            inner[doubtful] = rule.combine(samples).estimate(samples)
+            found["inner"][doubtful] = fit.combine(samples).estimate(samples)
             steps += samples.seen.queries
         ended = {"walks_boundary": problem.batch * n - capped, "walks_capped": capped}
-        return Whole(inner, doubtful, steps, work=ended)
+        return Whole(**found, fallback=doubtful, queries=steps, work=ended)
 
     return whole

@@ -202,7 +202,7 @@ class LaplaceProblem(WalkProblem):
         """The closest boundary point (B, N, 2) of each walk's position, its arc length and its value, (B, N)."""
         edge, t = state.edge.numpy(), state.t.numpy()
         arc = self.arcs[edge, 0] + t * self.arcs[edge, 1]
-        return self.corner(state), torch.from_numpy(arc), torch.from_numpy(self._values(edge, t))
+        return self.corner(state), torch.from_numpy(arc), torch.from_numpy(self.values(edge, t))
 
     def corner(self, state: WalkState) -> Tensor:
         """The closest boundary point (B, N, 2) of each walk's position."""
@@ -214,7 +214,7 @@ class LaplaceProblem(WalkProblem):
         """Arc length at the start of every edge of `geometry`, and its length, (E, 2)."""
         return np.concatenate([np.column_stack([b.domain.arc, b.domain.lengths]) for b in self.boundaries])
 
-    def _values(self, edge: NDArray[np.int64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def values(self, edge: NDArray[np.int64], t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Boundary values at t of edges of `geometry`, (B, ...)."""
         value, shape, first = np.empty(edge.shape), self.shape.numpy(), self.geometry.shape[:, 3]
         ends = np.flatnonzero(np.diff(shape, append=-1)) + 1
@@ -253,7 +253,7 @@ class LaplaceProblem(WalkProblem):
     def evaluate(self, x: Tensor) -> Observation:
         """Walk all steps in one compiled pass: the same as step by step, to rounding."""
         walks = record(self.geometry, self.arcs, self.shape.numpy(), self.points.numpy(), x.cpu().numpy(), self.epsilon)
-        value = self._values(walks.edge, walks.t)
+        value = self.values(walks.edge, walks.t)
         walks.steps[..., VALUE] = value[..., :-1] * walks.steps[..., ALIVE]
         batch, n = x.shape[:2]
         features = {

@@ -59,6 +59,22 @@ def test_the_compiled_pass_is_the_pair(sampler: str, n: int) -> None:
         assert one.counts["walks_boundary"] + one.counts["walks_capped"] == n * problem.batch
 
 
+@pytest.mark.parametrize("sampler", ["random", "latin-hypercube"])
+@pytest.mark.parametrize("n", [1, 2, 33, 100])
+def test_means_of_ends_are_those_of_the_pair(sampler: str, n: int) -> None:
+    for problem in (LaplaceProblem.family(4, points=24), with_a_hole()):
+        pair = registry.make("sampler", sampler), registry.make("rule", "mc")
+        one, two = run(problem, *pair, n, seed=3), run(plain(problem), *pair, n, seed=3)
+        np.testing.assert_allclose(one.value, two.value, rtol=0.0, atol=1e-13)
+        assert one.counts == two.counts
+        assert (one.stderr is None) == (two.stderr is None)
+        for name in ("m2", "m3", "m4"):
+            mine, theirs = getattr(one.statistics, name), getattr(two.statistics, name)
+            assert (mine is None) == (theirs is None)
+            if mine is not None:
+                np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_rows_in_doubt_are_means_of_whole_walks(sampler: str) -> None:
     problem = LaplaceProblem.family(2, points=12)
@@ -70,7 +86,7 @@ def test_rows_in_doubt_are_means_of_whole_walks(sampler: str) -> None:
 
 def test_other_pairs_go_the_long_way() -> None:
     problem, rule = LaplaceProblem.family(1, points=2), WalkFit()
-    assert problem.compiled(LatinHypercube(), registry.make("rule", "mc"), 8) is None
+    assert problem.compiled(WalkSpread(), registry.make("rule", "mc"), 8) is None
     assert problem.compiled(registry.make("sampler", "sobol"), rule, 8) is None
     assert problem.compiled(WalkSpread(rim=0.1), rule, 8) is None
 
