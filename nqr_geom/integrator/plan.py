@@ -26,6 +26,8 @@ Rows = NDArray[np.int64]
 
 _SHARE = 0.7  # of the time that is left is handed out: what is predicted may be a third off
 _CHECKED = 2.0  # what finding out how far samples are off makes of their price: a first level, and one more than enough
+_AGAIN = 1.4  # and asking again for the few that are not within the tolerance yet
+PLENTY = 0.1  # of a tolerance: where the forecast is below, none should have to be asked again
 _ALIKE = 1e-9  # errors below it, in units of the scale, are as good as each other
 
 
@@ -220,10 +222,18 @@ def _within(way: Way, goal: Goal, seconds: float) -> Forecast:
     return Forecast(way, n, seconds_of(way, goal, n), reached)
 
 
+def _price(forecast: Forecast, goal: Goal) -> float:
+    """Seconds that a forecast comes to with all that goes with it."""
+    if not forecast.way.sampled:
+        return forecast.seconds
+    again = 1.0 if goal.tol is None or forecast.error < PLENTY * goal.tol else _AGAIN
+    return forecast.seconds * _CHECKED * again
+
+
 def cheapest(ways: Sequence[Way], goal: Goal) -> list[Forecast]:
     """Forecasts for the tolerance, the cheapest first; those that cannot reach it last."""
     found = [forecast(way, goal) for way in ways]
-    return sorted(found, key=lambda f: (f.seconds * (_CHECKED if f.way.sampled else 1.0), f.error))
+    return sorted(found, key=lambda f: (_price(f, goal), f.error))
 
 
 def most_accurate(ways: Sequence[Way], goal: Goal, seconds: float) -> list[Forecast]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from nqr_geom.integrator.bounds import bound_of_samples, bound_of_values
 from nqr_geom.integrator.estimate import Estimate
 from nqr_geom.integrator.plan import (
+    PLENTY,
     Clock,
     Forecast,
     Goal,
@@ -37,7 +38,6 @@ _GROWTH = 16.0  # of one level over the last at most
 _FIRST = 0.25  # of the samples that should do it are a first level: it shows what this problem is like,
 _WORTH = 0.3  # unless it takes more than this part of their time
 _NEARLY = 1.1  # times the time of the samples that should do it is not worth sparing: calls cost something, too
-_PLENTY = 0.1  # of a tolerance: where the forecast is below, more samples are of no use
 _NEAR = 3  # times the samples of the level before at most, and a level of a design is checked against that one
 _PILOT = 0.08  # of a budget goes into finding out how fast this problem is
 _LEVELS, _CAREFUL = 8, 6.0  # of them at most, and how much bigger each: costs do not grow in proportion for ever
@@ -200,7 +200,7 @@ def _start(sampling: _Sampling, forecast: Forecast) -> int:
     part, seconds = max(way.least, math.ceil(_FIRST * whole)), seconds_of(way, goal, whole)
     if seconds_of(way, goal, part) < _WORTH * seconds:
         return part
-    if goal.tol is not None and forecast.error < _PLENTY * goal.tol:
+    if goal.tol is not None and forecast.error < PLENTY * goal.tol:
         return whole
     return min(max(whole, most_within(way, goal, _NEARLY * seconds) or whole), most)
 
