@@ -27,6 +27,7 @@ from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.learn.snet import LearnedSampler
 from nqr_geom.integrator.samplers import Sampler
 from nqr_geom.render.direct_problem import DirectProblem
+from nqr_geom.render.film import exposed
 from nqr_geom.render.scene_gallery import gallery
 
 PASSES = 16
@@ -82,8 +83,6 @@ def quality(picture: Any, truth: Any, size: int) -> dict[str, float]:
         from skimage.metrics import peak_signal_noise_ratio, structural_similarity
     except ModuleNotFoundError:
         return {}
-    from nqr_geom.render.film import exposed
-
     white = float(np.quantile(truth.max(axis=-1), 0.97)) or 1.0
     a, b = (exposed(image.reshape(size, size, 3), white) for image in (picture, truth))
     return {
@@ -94,8 +93,6 @@ def quality(picture: Any, truth: Any, size: int) -> dict[str, float]:
 
 def draw(outside: dict[str, Any], path: Path) -> None:
     """Every scene outside the family by the methods that are `SHOWN`, with what they gain on it."""
-    from nqr_geom.render.film import exposed
-
     names = [name for name in SHOWN if name in METHODS]
     made = figure(1.55 * (len(names) + 1), 1.75 * len(outside))
     axes = made.subplots(len(outside), len(names) + 1)

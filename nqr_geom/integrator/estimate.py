@@ -229,7 +229,7 @@ def _tile(
     problem: Problem, sampler: Sampler, rule: Rule, n: int, stream: Stream, stages: dict[str, float]
 ) -> dict[str, Any]:
     """One replicate of one tile: estimate, spread of its terms where they are independent, and the work done."""
-    from nqr_geom.integrator.sums import row_sum
+    from nqr_geom.integrator.sums import power_sums
 
     start = time.perf_counter()
     whole = problem.compiled(sampler, rule, n)
@@ -255,8 +255,7 @@ def _tile(
     moments = {}
     if rule.averages and samples.independent and n > 1:
         slope, off = link.slope(inner), combination.per_sample(samples) - inner[:, None]
-        square = off.square()
-        moments = {k: row_sum(power) * slope**k for k, power in ((2, square), (3, square * off), (4, square.square()))}
+        moments = {k: total * slope**k for k, total in enumerate(power_sums(off), start=2)}
     stages["draw"] += drawn - start
     stages["combine"] += time.perf_counter() - drawn
     counts = {"samples": samples.x.shape[0] * n, "queries": samples.seen.queries, **samples.seen.work}

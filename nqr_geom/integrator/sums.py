@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-__all__ = ["cholesky_weights", "least_norm", "row_mean", "row_sum"]
+__all__ = ["cholesky_weights", "least_norm", "power_sums", "row_mean", "row_sum"]
 
 _BLOCK = 2**14  # below the 2^15 numbers from which torch splits a single sum over threads
 _LINE = 8  # float64 numbers in a cache line
@@ -37,6 +37,12 @@ def row_sum(terms: Tensor) -> Tensor:
 def row_mean(terms: Tensor) -> Tensor:
     """Mean over axis 1, (B, N, ...) -> (B, ...)."""
     return row_sum(terms) / terms.shape[1]
+
+
+def power_sums(off: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sums of the second to fourth powers of deviations over axis 1, (B, N, ...) -> (B, ...) each."""
+    square = off.square()
+    return row_sum(square), row_sum(square * off), row_sum(square.square())
 
 
 def _aligned(matrix: Tensor, diagonal: float) -> Tensor:

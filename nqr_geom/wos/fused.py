@@ -19,7 +19,7 @@ from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Whole
 from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.integrator.samplers import LatinHypercube, Random, Sampler
-from nqr_geom.integrator.sums import row_mean, row_sum
+from nqr_geom.integrator.sums import power_sums, row_mean
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 from nqr_geom.wos.average import average, room_for
@@ -60,7 +60,7 @@ def _latin(key, order, n, most, bits, x):  # type: ignore[no-untyped-def]
             x[w, j] = (x[w, j] + unit(mixed(mixed(key, w), j))) / n
 
 
-class Walks(NamedTuple):
+class Inputs(NamedTuple):
     """Walks from B queries, as kernels take them; arrays are those of `explored`.
 
     Attributes
@@ -119,7 +119,7 @@ def _points(walks, b, bits, x):  # type: ignore[no-untyped-def]
 def _end_rows(walks, low, high, edge, t, work):  # type: ignore[no-untyped-def]
     """Where the walks of rows low .. high end, (B, n): closest edge and parameter; steps and capped walks (B, 2)."""
     x, bits = np.empty((walks.n, walks.most)), np.empty(walks.n, np.int64)
-    edges, size, grid, shape, first, items = (  # looked up in the loop they would cost as much again
+    edges, size, grid, shape, first, items = (  # not looked up again in the loop
         walks.edges, walks.size, walks.grid, walks.shape, walks.first, walks.items
     )  # fmt: skip
     epsilon, most = walks.epsilon, walks.most
@@ -192,7 +192,7 @@ def _average_rows(seen, counts, loops, step, fade, least, base, low, high, value
         )
 
 
-def _fitted(problem: LaplaceProblem, walks: Walks, rule: WalkFit, work: Any) -> tuple[Floats, Floats]:
+def _fitted(problem: LaplaceProblem, walks: Inputs, rule: WalkFit, work: Any) -> tuple[Floats, Floats]:
     """Answers of `walk-fit` (B,) and measure that was cut off (B,)."""
     fit = (problem.loops().numpy(), rule.step, rule.fade, rule.least)
     value, lost = np.empty(problem.batch), np.empty(problem.batch)
@@ -208,7 +208,7 @@ def _fitted(problem: LaplaceProblem, walks: Walks, rule: WalkFit, work: Any) -> 
 
 
 def _asked(
-    problem: LaplaceProblem, walks: Walks, fit: tuple[Any, ...], base: int, seen: Floats, out: tuple[Any, ...]
+    problem: LaplaceProblem, walks: Inputs, fit: tuple[Any, ...], base: int, seen: Floats, out: tuple[Any, ...]
 ) -> None:
     """Rows from `base` on, as many as `seen` has room for, on boundary values of which some are a user's function."""
     explore, rebuild = cast("tuple[Any, Any]", (_seen_rows, _average_rows))
@@ -225,7 +225,7 @@ def _asked(
     over_rows(lambda i, j: rebuild(seen, counts, *fit, base, i, j, value, lost), len(seen))
 
 
-def _means(problem: LaplaceProblem, walks: Walks, work: Any) -> dict[str, Any]:
+def _means(problem: LaplaceProblem, walks: Inputs, work: Any) -> dict[str, Any]:
     """Means (B, 1) of the boundary values where walks end; of independent walks also sums of powers of deviations."""
     kernel: Any = _end_rows
     edge, t = np.empty((problem.batch, walks.n), np.int64), np.empty((problem.batch, walks.n))
@@ -234,10 +234,8 @@ def _means(problem: LaplaceProblem, walks: Walks, work: Any) -> dict[str, Any]:
     mean = row_mean(value)
     if walks.latin or walks.n == 1:
         return {"inner": mean[:, None]}
-    off = value - mean[:, None]
-    square = off.square()
-    powers = {"m2": square, "m3": square * off, "m4": square.square()}
-    return {"inner": mean[:, None], **{name: row_sum(power)[:, None] for name, power in powers.items()}}
+    m2, m3, m4 = power_sums(value - mean[:, None])
+    return {"inner": mean[:, None], "m2": m2[:, None], "m3": m3[:, None], "m4": m4[:, None]}
 
 
 def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
@@ -254,12 +252,12 @@ def whole_of(problem: LaplaceProblem, sampler: object, rule: object, n: int) -> 
     if spread is not None and (fit is None or n > spread.most or spread.rim != fit.rim):
         return None
 
-    def walks_of(stream: Stream) -> Walks:
+    def walks_of(stream: Stream) -> Inputs:
         start, rows = (np.ascontiguousarray(t.numpy()) for t in (problem.points, problem.rows))
         values = [np.zeros((len(b.domain.start), 2)) if b.linear is None else b.linear for b in problem.boundaries]
         key, order = unsigned(stream.key), unsigned(stream.child("order").key)
         how = spread or WalkSpread()
-        return Walks(
+        return Inputs(
             *problem.geometry, problem.arcs, np.concatenate(values), problem.outline, start, rows, problem.epsilon,
             fit.rim if fit else 0.0, n, problem.dim, key, order, isinstance(sampler, LatinHypercube),
             spread is not None, how.floor, how.smallest, table_of(how.bins),
