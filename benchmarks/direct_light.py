@@ -17,6 +17,7 @@ import numpy as np
 from comparison import trained_sampler
 from figures import DOCS, figure, save
 from learned import write_cards
+from page import short
 from rich.console import Console
 from rich.table import Table
 from shapes import write
@@ -40,8 +41,11 @@ METHODS = {
     "closed forms": ("pmj", "direct-unhidden"),
     "known light": ("pmj", "direct-known"),
     "structured": ("lamp-spread", "direct-known"),
+    "known light, random": ("random", "direct-known"),
+    "MC, lamp-spread": ("lamp-spread", "balance-heuristic"),
     "INet random": ("random", "inet-direct-mis"),
     "INet stratified": ("pmj", "inet-direct-mis"),
+    "INet": ("lamp-spread", "inet-direct-mis"),
 }
 PAIR = trained_sampler("direct")
 UNTRAINED = "MC, untrained SNet"  # where the pair began: stratified rounds
@@ -49,11 +53,11 @@ if PAIR is not None:
     METHODS |= {UNTRAINED: ("untrained", "balance-heuristic"), "MC, SNet": (PAIR[0], "balance-heuristic"),
                 "known light, SNet": (PAIR[0], "direct-known"), JOINT: PAIR}  # fmt: skip
 # What a network is measured against: sampler and rule that it began as.
-BEGAN = {"INet random": "MC random", "INet stratified": "MC stratified", JOINT: UNTRAINED}
+BEGAN = {"INet random": "MC random", "INet stratified": "MC stratified", "INet": "MC, lamp-spread", JOINT: UNTRAINED}
 # Means of Table 10, as multiples of random Monte Carlo's error taken from it.
 PAPER = {"MC random": 1.0, "Poly random": 0.34, "MC stratified": 4.1, "Poly stratified": 0.45, "INet random": 9.2,
          "INet stratified": 16.6, JOINT: 30.4}  # fmt: skip
-SHOWN = ("MC random", "MC stratified", "structured", "INet random", "INet stratified", JOINT)  # as pictures
+SHOWN = ("MC random", "MC stratified", "structured", "INet random", "INet", JOINT)  # as pictures
 OUTSIDE = ("teaser", "white-room", "living-room", "staircase", "plates")
 
 
@@ -104,7 +108,7 @@ def draw(outside: dict[str, Any], path: Path) -> None:
             side = int(np.sqrt(len(picture)))
             axis.imshow(exposed(picture.reshape(side, side, 3), white), interpolation="nearest")
             axis.set(xticks=[], yticks=[])
-            axis.set_xlabel("" if name == "truth" else f"x {plain / found[name].mean():.3g}", fontsize=8)
+            axis.set_xlabel("" if name == "truth" else f"x {short(plain / found[name].mean())}", fontsize=8)
             if scene == next(iter(outside)):
                 axis.set_title(name, fontsize=8)
         line[0].set_ylabel(scene, fontsize=8)

@@ -23,7 +23,7 @@ from nqr_geom.integrator.learn.zoo import Model, load, load_sampler
 from nqr_geom.integrator.problem import Feature
 from nqr_geom.p_training import P_RANGE_TOKENS, P_TOKENS, p_laplace_batch, p_range_batch
 from nqr_geom.render.direct_slabs import SIGHT_TOKENS, LampSlabs, lamp_credit
-from nqr_geom.render.direct_tokens import KNOWN_TOKENS
+from nqr_geom.render.direct_tokens import LAMP_TOKENS
 from nqr_geom.render.direct_training import direct_batch, doubtful_batch
 from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
@@ -46,7 +46,7 @@ _CURVE = TokenConfig(
 # The value's unit is the mean of the row's: with the nearest distance taken out, F is not far from it.
 _SD = replace(_CURVE, extra=SD_TOKENS.size, unit=None)
 _VOLUME = TokenConfig(extra=VOLUME_TOKENS.size, unit=1.0)  # an optical depth of 1 is what counts
-_DIRECT = TokenConfig(dim=6, channels=3, frequencies=0, extra=KNOWN_TOKENS.size)
+_DIRECT = TokenConfig(dim=6, channels=3, frequencies=0, extra=LAMP_TOKENS.size, blind=True)
 _WALK = TokenConfig(dim=12, frequencies=0, extra=WALK_TOKENS.size, blind=True)
 
 _CURVE_SEES = ("relative", "normal", "piece", "pieces", "distance2", "inverse_distance2", "speed")
@@ -177,13 +177,13 @@ RECIPES: dict[str, Recipe] = {
             problem="direct",
             family=direct_batch,
             base="balance-heuristic",
-            consistent="balance-heuristic",
-            config=INetConfig(_DIRECT, positive=True),  # weights alone: a black pixel stays black
+            consistent="direct-known",
+            # Tokens tell what attention would have to find out. Weights alone: a black pixel stays black.
+            config=INetConfig(_DIRECT, layers=0, width=32, positive=True),
             sees=_DIRECT_SEES,
-            extra=KNOWN_TOKENS,
+            extra=LAMP_TOKENS,
             sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
-            designs=("pmj", "pmj", "random"),
-            largest=64,
+            designs=("lamp-spread", "pmj", "random"),
             huber=0.25,
         ),
         Recipe(
@@ -334,7 +334,7 @@ JOINT: dict[str, JointRecipe] = {
                 RECIPES["direct-mis"],
                 name="direct-nqr",
                 family=doubtful_batch,
-                sizes=((16, 0.8), (8, 0.1), (32, 0.1)),
+                sizes=((16, 0.6), (8, 0.1), (32, 0.3)),
             ),
             "direct-mis",
             SNetConfig(

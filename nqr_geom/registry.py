@@ -79,7 +79,7 @@ _MODELS = (
     ("gwn-student-uniform", "gwn", "small network that corrects plain weights on curves, compiled"),
     ("sd-uniform", "sd", "network that corrects plain weights on smoothed distances"),
     ("transmittance-uniform", "transmittance", "network that corrects plain ray marching through clouds"),
-    ("direct-mis", "direct", "network that corrects the balance heuristic of direct light"),
+    ("direct-mis", "direct", "small network that corrects the balance heuristic of direct light, compiled"),
     ("laplace-uniform", "laplace", "network that corrects plain weights of walks on spheres"),
     ("laplace-spread", "laplace", "network that weighs walks which avoid each other"),
     ("p-laplace", "laplace", "network that bends inet-laplace-uniform to p = 3"),
@@ -353,7 +353,7 @@ _TABLE: dict[str, tuple[Entry, ...]] = {
 ALIASES: dict[str, str] = {
     "direct:random": "random+balance-heuristic",
     "direct:regression": "pmj+direct-regression-1",
-    "direct:inet": "pmj+inet-direct-mis",
+    "direct:inet": "lamp-spread+inet-direct-mis",
     "direct:nqr": "snet-direct-nqr+inet-direct-nqr",
     "direct:structured": "lamp-spread+direct-known",
     "transmittance:random": "random+mc",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nqr_geom._warp import array, launch, wp
 from nqr_geom.integrator.problem import Whole
-from nqr_geom.integrator.samplers import Pmj
+from nqr_geom.integrator.samplers import Pmj, Random
 from nqr_geom.keyed_warp import unsigned
 from nqr_geom.render import kernels_bsdf, kernels_known
 from nqr_geom.render.kernels_gloss import gauss_points
@@ -23,7 +23,7 @@ from nqr_geom.streams import Stream
 if TYPE_CHECKING:
     from nqr_geom.render.direct_problem import DirectProblem
 
-__all__ = ["compiled", "known", "spans"]
+__all__ = ["Room", "compiled", "design", "known", "room", "spans"]
 
 _LEAST = 8  # rays of slopes; others follow the root of the number of passes
 
@@ -69,38 +69,62 @@ def spans(problem: DirectProblem) -> Tensor:
     return torch.from_numpy(span)
 
 
-def compiled(problem: DirectProblem, sampler: object, n: int) -> Callable[[Stream], Whole] | None:
-    """One pass of `direct-known` over the points of "pmj" or "lamp-spread"; None for those of others."""
-    from nqr_geom.render.direct_sampler import LampSpread
-    from nqr_geom.render.kernels_lamps import Lamp, Record, Rounds, kernel
+class Room(NamedTuple):
+    """The first arguments of kernels that keep passes: what they see, and what they fill in."""
 
-    if type(sampler) not in (Pmj, LampSpread):
+    world: Any
+    surfaces: Any
+    rows: Any
+    points: Any  # Gauss's rule
+    known: Any  # (B, L)
+    lamps: Any  # (B, L)
+    records: Any  # (B, n, 2)
+
+
+def room(problem: DirectProblem, n: int) -> Room:
+    """Room for n passes of every pixel."""
+    from nqr_geom.render.kernels_lamps import Lamp, Record
+
+    most = _most_lights(problem)
+    return Room(
+        problem.world.struct,
+        rows_of(kernels_bsdf.Surface, problem.surfaces),
+        array(np.ascontiguousarray(problem.rows.cpu().numpy()), wp.int64),
+        _points(n),
+        array(np.zeros((problem.batch, most, 3)), wp.vec3d),
+        wp.zeros((problem.batch, most), dtype=Lamp, device="cpu"),
+        wp.empty((problem.batch, n, 2), dtype=Record, device="cpu"),
+    )
+
+
+def design(problem: DirectProblem, sampler: object, n: int, stream: Stream) -> list[Any]:
+    """The next arguments: what places n passes by "random", "pmj" or "lamp-spread"."""
+    from nqr_geom.render.direct_sampler import LampSpread
+    from nqr_geom.render.kernels_lamps import Rounds
+
+    rounds = Rounds()
+    if isinstance(sampler, LampSpread):
+        rounds.early, rounds.even = sampler.early(n), sampler.even
+        starts = [stream.child(f"round {done}").key for done in (0, rounds.early)]
+        rounds.start_0, rounds.start_1 = map(unsigned, starts)
+        lamps = stream.child("lamps")
+        rounds.key, rounds.scramble = unsigned(lamps.key), unsigned(lamps.child("scramble").key)
+    return [numbers(stream, problem.batch, n, pmj=not isinstance(sampler, Random)), rounds, n]
+
+
+def compiled(problem: DirectProblem, sampler: object, n: int) -> Callable[[Stream], Whole] | None:
+    """One pass of `direct-known` over the points of "random", "pmj" or "lamp-spread"; None for those of others."""
+    from nqr_geom.render.direct_sampler import LampSpread
+    from nqr_geom.render.kernels_lamps import kernel
+
+    if type(sampler) not in (Random, Pmj, LampSpread):
         return None
 
     def whole(stream: Stream) -> Whole:
         mean, traced = np.zeros((problem.batch, 3)), np.zeros((problem.batch, 3), np.int32)
-        most, rounds = _most_lights(problem), Rounds()
-        if isinstance(sampler, LampSpread):
-            rounds.early, rounds.even = sampler.early(n), sampler.even
-            starts = [stream.child(f"round {done}").key for done in (0, rounds.early)]
-            rounds.start_0, rounds.start_1 = map(unsigned, starts)
-            lamps = stream.child("lamps")
-            rounds.key, rounds.scramble = unsigned(lamps.key), unsigned(lamps.child("scramble").key)
-        arguments = [
-            problem.world.struct,
-            rows_of(kernels_bsdf.Surface, problem.surfaces),
-            array(np.ascontiguousarray(problem.rows.cpu().numpy()), wp.int64),
-            numbers(stream, problem.batch, n, pmj=True),
-            rounds,
-            n,
-            _points(n),
-            array(np.zeros((problem.batch, most, 3)), wp.vec3d),
-            wp.zeros((problem.batch, most), dtype=Lamp, device="cpu"),
-            wp.empty((problem.batch, n, 2), dtype=Record, device="cpu"),
-            array(mean, wp.vec3d),
-            array(traced, wp.int32),
-        ]
-        launch(kernel(isinstance(sampler, LampSpread), *problem.variant), problem.batch, arguments)
+        placed = [*room(problem, n), *design(problem, sampler, n, stream)]
+        results = [array(mean, wp.vec3d), array(traced, wp.int32)]
+        launch(kernel(True, isinstance(sampler, LampSpread), *problem.variant), problem.batch, placed + results)
         problem.count(traced)
         fallback = torch.zeros(problem.batch, dtype=torch.bool)
         return Whole(torch.from_numpy(mean), fallback, 2 * problem.batch * n, None)

@@ -38,9 +38,9 @@ def direct(
         "random", "mis" (progressive multi-jittered points, balance heuristic), "regression" (of degree 1, for each
         technique apart), "structured" (the light of every lamp as it would be if nothing hid it, gloss included, times
         its sampled visibility; samples go to lamps that can bring much, then to those half hidden), "inet" (a network
-        that corrects the balance heuristic), "nqr" (another places the passes, in rounds of eight), "reference" (at
-        least 4096 passes in 16 runs, with a standard error), or any "sampler+rule" that fits. With `tol` or `budget`
-        also "auto".
+        weighs the structured method's passes), "nqr" (another one places passes of its own, in rounds of eight),
+        "reference" (at least 4096 passes in 16 runs, with a standard error), or any "sampler+rule" that fits. With
+        `tol` or `budget` also "auto".
     tol : float, optional
         Absolute error of a pixel's radiance to reach in place of spp: "auto" takes the method that should get there at
         the least cost, a method that is named as many passes as that needs, pixel by pixel. Bounds on the error are

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nqr_geom._warp import array, launch, wp
+from nqr_geom.integrator.learn.zoo import Model
 from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema, Whole
 from nqr_geom.integrator.rules import BalanceHeuristic
 from nqr_geom.integrator.samplers import Pmj, Random
-from nqr_geom.render import direct_known, kernels_bsdf, kernels_fused
+from nqr_geom.render import direct_known, direct_student, kernels_bsdf, kernels_fused
 from nqr_geom.render.direct_rules import KnownLight, UnhiddenLight, sure_chance
 from nqr_geom.render.kernels_numbers import numbers
 from nqr_geom.render.scene import Scene
@@ -214,9 +215,11 @@ class DirectProblem(Problem):
         )
 
     def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
-        """The classical and the structured rules on the points that suit them, in one pass."""
+        """The classical, the structured and the learned rules on the points that suit them, in one pass."""
         if type(rule) is KnownLight:
             return direct_known.compiled(self, sampler, n)
+        if isinstance(rule, Model):
+            return direct_student.compiled(self, sampler, rule, n)
         kinds: dict[type, str] = {BalanceHeuristic: "balance", UnhiddenLight: "structured"}
         kind = kinds.get(type(rule))
         if kind is None or type(sampler) not in (Random, Pmj):

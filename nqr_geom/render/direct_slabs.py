@@ -2,6 +2,7 @@
 
 A slab is a stretch of the number that picks a light. How densely one would sample it by what its lights would send if
 nothing hid them, and how much more or less after the samples so far, by whether they agree on what is visible.
+`kernels_rounds` computes the same numbers and the two change together.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""`direct-known` in one pass, on the points of "pmj" or "lamp-spread": the same numbers as one after the other."""
+"""Passes of direct light by "random", "pmj" or "lamp-spread" that are kept until a row is full, and `direct-known`.
+
+The same numbers as sampler and rule one after the other.
+"""
 
 from functools import lru_cache
 from typing import Any
@@ -8,15 +11,17 @@ from nqr_geom.keyed_warp import mixed, unit
 from nqr_geom.render import kernels_bsdf
 from nqr_geom.render.kernels_bsdf import Surface, frame_of, to_local
 from nqr_geom.render.kernels_direct import OFFSET, Sample, World, one_pass_for
+from nqr_geom.render.kernels_fused import balance
 from nqr_geom.render.kernels_known import known_for, span_of
 from nqr_geom.render.kernels_numbers import Numbers, coordinate, owen, shuffle
 
-__all__ = ["Lamp", "Record", "Rounds", "kernel"]
+__all__ = ["Lamp", "Record", "Rounds", "kernel", "note", "record", "survey"]
 
 _OFFSET = wp.constant(wp.float64(OFFSET))
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))
+_THREE = wp.constant(wp.float64(3.0))
 _TINY = wp.constant(wp.float64(1e-300))
 _BELOW_ONE = wp.constant(wp.float64(1.0 - 2.0**-53))
 _LAMPS = wp.constant(wp.int64(4096))
@@ -46,13 +51,16 @@ class Record:
     visible: wp.float64
     own: wp.float64
     other: wp.float64
+    weight: wp.float64  # by the balance heuristic, as if lamps were chosen by the tree
+    chance: wp.float64
+    diffuse: wp.float64  # mean part of the diffuse lobe
     light: wp.int32
     padding: wp.int32
 
 
 @wp.struct
 class Rounds:
-    """Keys and sizes of the rounds of "lamp-spread"; `early` is n for "pmj"."""
+    """Keys and sizes of the rounds of "lamp-spread"; of no use to the others."""
 
     start_0: wp.uint64
     start_1: wp.uint64
@@ -63,15 +71,45 @@ class Rounds:
 
 
 @wp.func
-def record(s: Sample, through: wp.vec3d, first: wp.int32) -> Record:
+def record(s: Sample, world: World, through: wp.vec3d, first: wp.int32) -> Record:
     kept = Record()
     kept.light = wp.int32(-1)
     if s.light >= 0:
         kept.light = s.light - first
+        kept.expected = wp.cw_mul(wp.cw_mul(s.f, world.lights[s.light].radiance) * s.lambert, through)
     kept.own = s.own
     kept.other = s.other
+    kept.weight = balance(s)
     kept.visible = s.visible
+    kept.chance = s.chance
+    kept.diffuse = (s.share[0] + s.share[1] + s.share[2]) / _THREE
     return kept
+
+
+@wp.func
+def spread_weight(kept: Record, t: wp.int32, lamp: Lamp, n: wp.int32) -> wp.float64:
+    """The balance heuristic's weight where a lamp's samples are as dense as their number says."""
+    density = _ZERO
+    if lamp.length > _ZERO:
+        density = wp.float64(lamp.taken) / (wp.float64(n) * wp.max(lamp.length, _TINY))
+    both = kept.own + kept.other * density
+    if t == 1:
+        both = kept.own * density + kept.other
+    if both > _ZERO:
+        return kept.own / both
+    return _ZERO
+
+
+@wp.func
+def survey(world: World, s: Surface, known: wp.array(dtype=wp.vec3d), lamps: wp.array(dtype=Lamp)):
+    """Fill in where axis 3 chooses each lamp, and what it is worth."""
+    place = world.places[s.scene]
+    for j in range(place.lights_end - place.lights):
+        span = span_of(world, s, place.lights + j)
+        lamps[j].low = span[0]
+        lamps[j].length = span[1]
+        if span[1] > _ZERO:
+            lamps[j].worth = kernels_bsdf.luminance(known[j])
 
 
 @wp.func
@@ -119,8 +157,13 @@ def pick(lamps: wp.array(dtype=Lamp), count: wp.int32, at: wp.float64) -> wp.int
 
 
 @lru_cache(maxsize=64)
-def kernel(spread: bool, shadows: bool, gloss: bool, selection: bool, medium: tuple[str, bool] | None = None) -> Any:
-    """The kernel for a scene with these effects, made once."""
+def kernel(
+    answers: bool, spread: bool, shadows: bool, gloss: bool, selection: bool, medium: tuple[str, bool] | None = None
+) -> Any:
+    """The kernel that draws n passes of each pixel in a scene with these effects, and keeps them; made once.
+
+    With `answers` it goes on to what `direct-known` makes of them, else it only weighs them by the balance heuristic.
+    """
     one_pass = one_pass_for(shadows, gloss, selection, medium)
     fill = known_for(gloss)
 
@@ -134,18 +177,18 @@ def kernel(spread: bool, shadows: bool, gloss: bool, selection: bool, medium: tu
         return wp.min((wp.float64(digits) + u) * wp.float64(2.3283064365386963e-10), _BELOW_ONE)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def fused(
+    def drawn(
         first: wp.int32,
         world: World,
         surfaces: wp.array(dtype=Surface),
         rows: wp.array(dtype=wp.int64),
-        numbers: Numbers,
-        rounds: Rounds,
-        n: wp.int32,
         points: wp.array(dtype=wp.vec2d),
         known: wp.array2d(dtype=wp.vec3d),
         all_lamps: wp.array2d(dtype=Lamp),
-        all_records: wp.array3d(dtype=Record),
+        records: wp.array3d(dtype=Record),
+        numbers: Numbers,
+        rounds: Rounds,
+        n: wp.int32,
         mean: wp.array(dtype=wp.vec3d),
         rays: wp.array2d(dtype=wp.int32),
     ):
@@ -158,14 +201,10 @@ def kernel(spread: bool, shadows: bool, gloss: bool, selection: bool, medium: tu
             out = to_local(frame_of(s.normal), s.outgoing)
             start = s.position + _OFFSET * s.geometric
             shuffle(numbers, at, row, n)
-            fill(world, place, s, out, points, known[at])
             lamps = all_lamps[at]
-            for j in range(count):
-                span = span_of(world, s, place.lights + j)
-                lamps[j].low = span[0]
-                lamps[j].length = span[1]
-                if span[1] > _ZERO:
-                    lamps[j].worth = kernels_bsdf.luminance(known[at, j])
+            fill(world, place, s, out, points, known[at])
+            if wp.static(spread):
+                survey(world, s, known[at], lamps)
             total = wp.float64(0.0)
             base = wp.float64(0.0)
             begun = wp.int32(0)
@@ -205,52 +244,46 @@ def kernel(spread: bool, shadows: bool, gloss: bool, selection: bool, medium: tu
                     sample = made.bsdf
                     if t == 1:
                         sample = made.nee
-                    kept = record(sample, s.through, place.lights)
-                    if kept.light >= 0:
-                        radiance = world.lights[sample.light].radiance
-                        kept.expected = wp.cw_mul(wp.cw_mul(sample.f, radiance) * sample.lambert, s.through)
-                    note(lamps, kept)
-                    all_records[at, i, t] = kept
-            every = wp.vec3d()
-            seen = wp.vec3d()
-            for i in range(n):
-                for t in range(2):
-                    kept = all_records[at, i, t]
-                    if kept.light >= 0:
-                        density = wp.float64(1.0)
-                        if wp.static(spread):
-                            density = _ZERO
-                            lamp_of = lamps[kept.light]
-                            if lamp_of.length > _ZERO:
-                                density = wp.float64(lamp_of.taken) / (wp.float64(n) * wp.max(lamp_of.length, _TINY))
-                        weight = _ZERO
-                        if t == 0:
-                            both = kept.own + kept.other * density
-                            if both > _ZERO:
-                                weight = kept.own / both
+                    kept = record(sample, world, s.through, place.lights)
+                    if wp.static(spread):
+                        note(lamps, kept)
+                    records[at, i, t] = kept
+            if wp.static(answers):
+                every = wp.vec3d()
+                seen = wp.vec3d()
+                for i in range(n):
+                    for t in range(2):
+                        kept = records[at, i, t]
+                        if kept.light >= 0:
+                            weight = kept.weight
+                            if wp.static(spread):
+                                weight = spread_weight(kept, t, lamps[kept.light], n)
+                            part = kept.expected * (weight / wp.float64(n))
+                            lamps[kept.light].expected = lamps[kept.light].expected + part
+                            lamps[kept.light].shown = lamps[kept.light].shown + part * kept.visible
+                            every += part
+                            seen += part * kept.visible
+                answer = wp.vec3d()
+                for c in range(3):
+                    value = wp.float64(0.0)
+                    missed = wp.float64(0.0)
+                    for j in range(count):
+                        expected = lamps[j].expected
+                        shown = lamps[j].shown
+                        if expected[c] > _ZERO:
+                            value += known[at, j][c] * (shown[c] / expected[c])
                         else:
-                            both = kept.own * density + kept.other
-                            if both > _ZERO:
-                                weight = kept.own / both
-                        part = kept.expected * (weight / wp.float64(n))
-                        lamps[kept.light].expected = lamps[kept.light].expected + part
-                        lamps[kept.light].shown = lamps[kept.light].shown + part * kept.visible
-                        every += part
-                        seen += part * kept.visible
-            answer = wp.vec3d()
-            for c in range(3):
-                value = wp.float64(0.0)
-                missed = wp.float64(0.0)
-                for j in range(count):
-                    expected = lamps[j].expected
-                    shown = lamps[j].shown
-                    if expected[c] > _ZERO:
-                        value += known[at, j][c] * (shown[c] / expected[c])
-                    else:
-                        missed += known[at, j][c]
-                if every[c] > _ZERO:
-                    value += missed * (seen[c] / every[c])
-                answer[c] = value
-            mean[at] = answer
+                            missed += known[at, j][c]
+                    if every[c] > _ZERO:
+                        value += missed * (seen[c] / every[c])
+                    answer[c] = value
+                mean[at] = answer
+            elif wp.static(spread):
+                for i in range(n):
+                    for t in range(2):
+                        one = records[at, i, t]
+                        if one.light >= 0:
+                            one.weight = spread_weight(one, t, lamps[one.light], n)
+                            records[at, i, t] = one
 
-    return fused
+    return drawn

@@ -15,7 +15,9 @@ from nqr_geom.streams import Stream
 from tests.scenes import EVERYTHING, floor, looking_down, open_floor, two_spheres
 
 PAIRS = [(s, r) for s in ("random", "pmj") for r in ("balance-heuristic", "direct-unhidden")]
-PAIRS += [("pmj", "direct-known"), ("lamp-spread", "direct-known")]
+PAIRS += [(s, "direct-known") for s in ("random", "pmj", "lamp-spread")]
+LEARNED = [(s, "inet-direct-mis") for s in ("random", "pmj", "lamp-spread")]
+LEARNED += [("snet-direct-nqr", "inet-direct-nqr")]
 
 
 def pair(sampler, rule):
@@ -41,7 +43,29 @@ def test_one_pass_is_sampler_and_rule_one_after_the_other(room, sampler, rule, n
         np.testing.assert_allclose(fused.stderr, parts.stderr, rtol=1e-9, atol=1e-14)
 
 
-@pytest.mark.parametrize(("sampler", "rule"), PAIRS)
+@pytest.mark.parametrize("n", [2, 13, 16])
+@pytest.mark.parametrize(("sampler", "rule"), LEARNED)
+def test_networks_in_kernels_are_sampler_and_rule_one_after_the_other(sampler, rule, n, monkeypatch):
+    """Tokens are those of torch to the rounding of float32, which is what the networks compute in."""
+    for problem in (DirectProblem.of(two_spheres(16)), DirectProblem.family(2, seed=3, resolution=12)):
+        fused = run(problem, *pair(sampler, rule), n, seed=3)
+        assert "compiled" in fused.stages
+        with monkeypatch.context() as without:
+            without.setattr(DirectProblem, "compiled", lambda *_: None)
+            parts = run(problem, *pair(sampler, rule), n, seed=3)
+        np.testing.assert_allclose(fused.value, parts.value, rtol=2e-6, atol=2e-6)
+        np.testing.assert_array_equal(fused.fallback, parts.fallback)
+        assert fused.counts == parts.counts
+
+
+def test_a_round_of_one_and_many_passes_are_left_to_sampler_and_rule(room):
+    for n in (9, 65):
+        estimate = run(room.take(slice(0, 8)), *pair(*LEARNED[-1]), n, seed=3)
+        assert not estimate.stages.get("compiled")
+        assert np.isfinite(estimate.value).all()
+
+
+@pytest.mark.parametrize(("sampler", "rule"), PAIRS + LEARNED)
 def test_pixels_do_not_depend_on_the_rest_of_the_picture(room, sampler, rule, monkeypatch):
     whole = run(room, *pair(sampler, rule), 8)
     some = torch.tensor([200, 3, 77, 140])

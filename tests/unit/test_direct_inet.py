@@ -9,7 +9,7 @@ from nqr_geom.render.scene_gallery import gallery
 
 
 def test_networks_are_better_than_stratified_passes_on_plates_and_lights() -> None:
-    assert registry.method("inet", "direct") == ("pmj", "inet-direct-mis")
+    assert registry.method("inet", "direct") == ("lamp-spread", "inet-direct-mis")
     scene = gallery("plates", 24, 24)
     truth = render.direct(scene, method="reference", seed=9)
     plain, mine = (render.direct(scene, method=method, seed=1) for method in ("mis", "inet"))

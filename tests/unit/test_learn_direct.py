@@ -11,18 +11,17 @@ import torch
 
 from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.learn.recipe import draw_samples
-from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import BalanceHeuristic
 from nqr_geom.integrator.samplers import Pmj
 from nqr_geom.render import direct_training
-from nqr_geom.render.direct_rules import KnownLight, UnhiddenLight
-from nqr_geom.render.direct_tokens import DIRECT_TOKENS, KNOWN_TOKENS
+from nqr_geom.render.direct_rules import KnownLight
+from nqr_geom.render.direct_tokens import LAMP_TOKENS
 from nqr_geom.render.direct_training import direct_batch
 from nqr_geom.streams import Stream
 
 ROWS = torch.arange(60)
-FIRST = 3 + 2 + 30 + 18 + 3 + 1  # the contributions by the balance heuristic, then those of the structured rule
+BALANCE, PART, STEADY = 6, 14, 25  # places in a token
 
 
 @pytest.fixture(autouse=True)
@@ -61,50 +60,52 @@ def test_training_looks_at_lit_pixels_and_splits_at_rooms_of_their_own() -> None
     assert torch.equal(batch.problem.rows, ROWS[20:30])
 
 
-def test_tokens_hold_the_balance_heuristic_and_the_structured_rule() -> None:
+def test_tokens_hold_what_the_rule_of_known_light_makes_of_a_sample() -> None:
     samples = seen()
-    tokens = DIRECT_TOKENS.compute(samples).double()
-    assert tokens.shape == (60, 16, 2, DIRECT_TOKENS.size)
+    tokens = LAMP_TOKENS.compute(samples).double()
+    assert tokens.shape == (60, 16, 2, LAMP_TOKENS.size)
     assert tokens.isfinite().all()
-    unit = samples.value.abs().mean(dim=(1, 2))
-    for first, rule in ((FIRST, BalanceHeuristic()), (FIRST + 3, UnhiddenLight())):
-        shares = tokens[..., first : first + 3].expm1().sum(dim=2).mean(dim=1) * unit
-        combination = rule.combine(replace(samples, design="pmj"))
-        weighted = (combination.weights * samples.value).sum(dim=2).mean(dim=1)
-        rows = torch.ones(60, dtype=torch.bool)
-        if combination.offset is not None:  # lights that may be missed are another matter
-            rows = (samples.feature("chance", "test")[samples.feature("light", "test") >= 0].min() >= 0.125).expand(60)
-            rows = rows | (combination.offset.abs().amax(dim=1) == 0.0)
-        assert rows.sum() > 5
-        np.testing.assert_allclose(shares[rows], weighted[rows], rtol=2e-4, atol=1e-5)
+    balance = BalanceHeuristic().combine(samples).weights
+    np.testing.assert_allclose(tokens[..., BALANCE], balance[..., 0], rtol=1e-6, atol=1e-7)
+    known = KnownLight().combine(samples)
+    factors = torch.exp(3.0 * tokens[..., BALANCE + 1 : BALANCE + 4])
+    counts = balance[..., 0] > 0.0
+    np.testing.assert_allclose((factors * balance)[counts], known.weights[counts], rtol=1e-4)
+    unit = samples.value.abs().mean(dim=(1, 2)).clamp_min(1e-300)
+    weighted = ((known.weights * samples.value).sum(dim=2).mean(dim=1) / unit).mean(dim=1)
+    lit = (samples.value > 0.0).any(dim=(1, 2)).all(dim=1)
+    assert lit.sum() > 20
+    np.testing.assert_allclose(tokens[..., STEADY].expm1().sum(dim=2).mean(dim=1)[lit], weighted[lit], rtol=1e-4)
 
 
-def test_tokens_of_known_light_go_on_with_what_its_rule_makes_of_a_sample() -> None:
+def test_tokens_tell_how_much_of_its_lamp_a_row_sees() -> None:
     samples = seen()
-    tokens = KNOWN_TOKENS.compute(samples)
-    assert tokens.shape == (60, 16, 2, KNOWN_TOKENS.size)
-    assert torch.equal(tokens[..., : DIRECT_TOKENS.size], DIRECT_TOKENS.compute(samples))
-    assert tokens.isfinite().all()
-    combination = KnownLight().combine(samples)
-    weighted = (combination.weights * samples.value).sum(dim=2).mean(dim=1)
-    unit = samples.value.abs().mean(dim=(1, 2))
-    shares = tokens[..., DIRECT_TOKENS.size :][..., :3].double().expm1().sum(dim=2).mean(dim=1) * unit
-    np.testing.assert_allclose(shares, weighted, rtol=2e-4, atol=1e-5)
-    seen_of_light = tokens[..., DIRECT_TOKENS.size + 10]
-    assert (seen_of_light >= 0.0).all()
-    assert (seen_of_light <= 1.0 + 1e-6).all()
+    tokens = LAMP_TOKENS.compute(samples).double()
+    light, visible = (samples.feature(name, "test")[..., 0] for name in ("light", "visible"))
+    part, shown, squares = tokens[..., PART], tokens[..., PART + 1], tokens[..., PART + 2]
+    met = 0
+    for row in range(60):
+        for j in light[row].unique().tolist():
+            of = (light[row] == j) & (part[row] > 0.0)
+            if j < 0.0 or not of.any():
+                continue
+            met += 1
+            mine = part[row][of]
+            assert mine.sum() == pytest.approx(1.0, abs=1e-5)
+            assert (mine * visible[row][of]).sum() == pytest.approx(shown[row][of][0].item(), abs=1e-5)
+            assert mine.square().sum() == pytest.approx(squares[row][of][0].item(), abs=1e-5)
+    assert met > 60
 
 
-@pytest.mark.parametrize("kind", [DIRECT_TOKENS, KNOWN_TOKENS], ids=["direct", "known"])
-def test_tokens_know_no_brightness_and_no_order(kind: Extra) -> None:
+def test_tokens_know_no_brightness_and_no_order() -> None:
     samples = seen()
-    here = kind.compute(samples)
+    here = LAMP_TOKENS.compute(samples)
     scaled = ("incident", "radiance", "unhidden", "known", "known_all", "expected")
     bright = {name: tensor * (8.0 if name in scaled else 1.0) for name, tensor in samples.seen.features.items()}
     brighter = replace(samples, seen=replace(samples.seen, value=8.0 * samples.value, features=bright))
-    np.testing.assert_allclose(kind.compute(brighter), here, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(LAMP_TOKENS.compute(brighter), here, rtol=1e-6, atol=1e-6)
     order = torch.arange(15, -1, -1).expand(60, 16)
-    turned = kind.compute(samples.permuted(order))
+    turned = LAMP_TOKENS.compute(samples.permuted(order))
     np.testing.assert_allclose(turned.flip(1), here, rtol=1e-5, atol=1e-5)
 
 
@@ -113,10 +114,10 @@ def test_tokens_are_finite_whatever_comes(factor: float) -> None:
     samples = seen()
     features = {name: factor * tensor for name, tensor in samples.seen.features.items()}
     wild = replace(samples, seen=replace(samples.seen, value=factor * samples.value, features=features))
-    assert DIRECT_TOKENS.compute(wild).nan_to_num(nan=0.0, posinf=16.0, neginf=-16.0).isfinite().all()
+    assert LAMP_TOKENS.compute(wild).nan_to_num(nan=0.0, posinf=16.0, neginf=-16.0).isfinite().all()
 
 
 def test_what_is_checked_begins_the_tokens() -> None:
     samples = seen()
-    assert DIRECT_TOKENS.check is not None
-    assert torch.equal(DIRECT_TOKENS.check(samples), DIRECT_TOKENS.compute(samples)[..., :3])
+    assert LAMP_TOKENS.check is not None
+    assert torch.equal(LAMP_TOKENS.check(samples), LAMP_TOKENS.compute(samples)[..., :3])

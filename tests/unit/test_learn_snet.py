@@ -78,6 +78,15 @@ class Cube(Problem):
         return Cube(self.rows[index])
 
 
+@pytest.mark.parametrize("layers", [1, 3])
+def test_the_last_state_alone_is_the_last_of_all(layers: int) -> None:
+    trunk = disturbed(lambda: SNet(replace(GRID, layers=layers))).trunk
+    tokens = Stream(4).uniform(torch.arange(7)[:, None, None], torch.arange(9)[:, None], torch.arange(100))
+    tokens = tokens[..., : trunk.embed_in.in_features].float()
+    with torch.no_grad():
+        assert_allclose(trunk.last(tokens), trunk(tokens)[:, -1], rtol=1e-5, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", NETS)
 @pytest.mark.parametrize("trained", [False, True])
 def test_sampling_and_scoring_agree(name: str, trained: bool) -> None:

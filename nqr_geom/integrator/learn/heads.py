@@ -117,7 +117,7 @@ class GridHead(Head):
     def evaluate(self, kept: Slabs, problem: Problem, x: Tensor) -> Observation:
         return kept.evaluate(x)
 
-    def _logs(self, states: Tensor, ahead: Tensor) -> list[Tensor]:
+    def logs(self, states: Tensor, ahead: Tensor) -> list[Tensor]:
         """Logarithm of every group's probabilities without their floor, (B, R, cells), of states (B, R, E)."""
         parts = list(self.logits(states).float().split(self.cells, dim=-1))
         if self.query is not None:
@@ -129,7 +129,7 @@ class GridHead(Head):
 
     def choose(self, kept: Slabs, state: Tensor, u: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         ahead = kept.ahead()
-        logs = self._logs(state[:, None], ahead[:, None])
+        logs = self.logs(state[:, None], ahead[:, None])
         parts, first = [], 0
         for axes, log in zip(self.axes, logs, strict=True):
             table = (1.0 - self.floor) * log[:, 0].detach().double().exp() + self.floor / log.shape[-1]
@@ -169,7 +169,7 @@ class GridHead(Head):
         return {"cell": cells, "ahead": torch.stack([record["ahead"] for record in records], dim=1)}
 
     def log_density(self, states: Tensor, trace: dict[str, Tensor]) -> Tensor:
-        return self._densities(self._logs(states, trace["ahead"]), trace["cell"])
+        return self._densities(self.logs(states, trace["ahead"]), trace["cell"])
 
 
 def _inverted(table: Tensor, axes: tuple[int, ...], u: Tensor) -> Tensor:

@@ -274,12 +274,28 @@ class LearnedRule(Rule):
             return corrected
         return _kept_positive(corrected, base, samples, self.net.config.tokens)
 
+    def outputs(self, tokens: Tensor) -> Tensor:
+        """The network's outputs for tokens (B, L, width) in its own precision, (B, L, outputs).
+
+        Rows go through in tiles of a size that depends on the length alone; the last tile is filled up.
+        """
+        b, length = tokens.shape[:2]
+        rows = max(1, TILE_TOKENS // length)
+        raw = torch.empty(b, length, self.net.config.outputs, dtype=tokens.dtype, device=tokens.device)
+        half = has_bfloat16() and self.net.config.layers > 0 if self.half is None else self.half
+        half = half and tokens.device.type == "cpu" and tokens.dtype == torch.float32
+        with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=half):
+            for start in range(0, b, rows):
+                tile = tokens[start : start + rows]
+                full = torch.nn.functional.pad(tile, (0, 0, 0, 0, 0, rows - len(tile)))
+                raw[start : start + rows] = self.net(full)[: len(tile)]
+        return raw
+
     def _raw(self, samples: Samples) -> Tensor:
         """The network's outputs for every sample, (B, N, T, outputs).
 
-        Rows go through in tiles of a size that depends on the length alone, from tokens to outputs while they are in
-        the cache; the last tile is filled up. They are in the order of their first coordinate, so that another order of
-        the same samples changes no bit.
+        Rows go from tokens to outputs while they are in the cache. They are in the order of their first coordinate, so
+        that another order of the same samples changes no bit.
         """
         order = samples.x[..., 0].argsort(dim=1, stable=True)
         ordered = samples.permuted(order) if samples.dim == 1 else samples
@@ -287,16 +303,12 @@ class LearnedRule(Rule):
         rows = max(1, TILE_TOKENS // (n * t))
         kind = self.net.head.weight.dtype
         raw = torch.empty(b, n, t, self.net.config.outputs, dtype=kind, device=samples.x.device)
-        half = has_bfloat16() and self.net.config.layers > 0 if self.half is None else self.half
-        half = half and samples.x.device.type == "cpu" and kind == torch.float32
-        with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=half):
-            for start in range(0, b, rows):
-                part = slice(start, min(start + rows, b))
-                tokens = tokenize(ordered.take(part), self.net.config.tokens, self.extra, kind)
-                if samples.dim > 1:  # tokens do not know their neighbours, and are less to move than samples
-                    tokens = tokens.gather(1, order[part][..., None, None].expand_as(tokens))
-                tile = torch.nn.functional.pad(tokens.flatten(1, 2), (0, 0, 0, 0, 0, rows - len(tokens)))
-                raw[part] = self.net(tile)[: len(tokens)].unflatten(1, (n, t))
+        for start in range(0, b, rows):
+            part = slice(start, min(start + rows, b))
+            tokens = tokenize(ordered.take(part), self.net.config.tokens, self.extra, kind)
+            if samples.dim > 1:  # tokens do not know their neighbours, and are less to move than samples
+                tokens = tokens.gather(1, order[part][..., None, None].expand_as(tokens))
+            raw[part] = self.outputs(tokens.flatten(1, 2)).unflatten(1, (n, t))
         return torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
 
 

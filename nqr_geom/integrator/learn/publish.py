@@ -68,7 +68,6 @@ def fit_shares(
     learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
     safe = registry.make("rule", recipe.consistent)
     trained = max(n for n, _ in recipe.sizes)
-    spent = _BLEND_SAMPLES if sampler is None else _BLEND_SAMPLES // 8  # a network places samples slowly
     shares: list[float] = []
     for n in sizes:
         if n > recipe.largest or (n > trained and shares and shares[-1] == 0.0):
@@ -76,7 +75,7 @@ def fit_shares(
             continue
         gain, total = 0.0, 0.0
         tried = torch.zeros(_CANDIDATES)
-        for rows in torch.arange(max(64, spent // n)).split(max(1, 2**15 // n)):
+        for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
             batch, samples = draw_batch(recipe, rows, n, seed, "validation", sampler)
             samples, link = batch.problem.finalize(samples)
             combined = [rule.combine(samples) for rule in (learned, safe)]
@@ -110,8 +109,7 @@ def fit_trust(recipe: Recipe, net: INet, seed: int = 0, sampler: Sampler | None 
     n = max(recipe.sizes, key=lambda pair: pair[1])[0]
     learned, safe = LearnedRule(net, recipe.base_rule(), recipe.extra), registry.make("rule", recipe.consistent)
     sums = torch.zeros(3, len(recipe.trusts), dtype=torch.float64)  # of squares, of products and of squared steps
-    spent = _BLEND_SAMPLES if sampler is None else _BLEND_SAMPLES // 8
-    for rows in torch.arange(max(64, spent // n)).split(max(1, 2**15 // n)):
+    for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
         batch, samples = draw_batch(recipe, rows, n, seed, "validation", sampler)
         samples, link = batch.problem.finalize(samples)
         combined = [rule.combine(samples) for rule in (learned, safe)]

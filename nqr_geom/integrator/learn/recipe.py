@@ -126,16 +126,17 @@ class Recipe:
 def draw_samples(problem: Problem, designs: tuple[str, ...], n: int, stream: Stream) -> Samples:
     """Samples of all integrals, each by the design that its global row modulo their number names.
 
-    Of several designs, all are fixed and uniform; a network is told nothing of the design but the points themselves.
+    A network is told nothing of the design but the points themselves and their densities.
     """
     if len(designs) == 1:
         return registry.make("sampler", designs[0]).draw(problem, n, stream)
-    x = torch.empty(problem.batch, n, problem.dim, dtype=torch.float64, device=problem.rows.device)
-    for k, name in enumerate(designs):
-        part = problem.rows % len(designs) == k
-        x[part] = registry.make("sampler", name).points(problem.rows[part], n, problem.dim, stream)
-    pdf = x.new_ones(problem.batch, n, problem.techniques)
-    return Samples(x, problem.evaluate(x), pdf, "+".join(designs))
+    which = problem.rows % len(designs)
+    parts = [
+        registry.make("sampler", designs[k]).draw(problem.take((which == k).nonzero()[:, 0]), n, stream)
+        for k in which.unique().tolist()
+    ]
+    plain = [replace(p, design="+".join(designs), independent=False, stratum=None, volume=None) for p in parts]
+    return Samples.stack(plain).take(which.argsort(stable=True).argsort())
 
 
 def inner_answer(answer: Tensor, link: Link) -> Tensor:

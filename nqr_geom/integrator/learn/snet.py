@@ -27,12 +27,12 @@ from nqr_geom.integrator.problem import Observation, Problem, Samples
 from nqr_geom.integrator.samplers import BELOW_ONE, Pmj, Sampler, Stratified
 from nqr_geom.streams import Stream
 
-__all__ = ["LearnedSampler", "Rollout", "SNet", "SNetConfig", "View"]
+__all__ = ["COUNTS", "LearnedSampler", "Rollout", "SNet", "SNetConfig", "View"]
 
 View = type[Gaps] | type[Walks] | type[Slabs]
 
 TILE_ROWS = 256  # float32 products change with the batch size, so the network always sees this many rows
-_COUNTS = 3  # is there a sample yet, i / n, log n
+COUNTS = 3  # is there a sample yet, i / n, log n
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,20 @@ class CausalBlock(Block):
         q, k, v = self.qkv(self.norm1(x)).view(b, 3, self.heads, e // self.heads).unbind(dim=1)  # (B, H, E/H)
         cache[0, :, :, at], cache[1, :, :, at] = k, v
         keys, values = cache[:, :, :, : at + 1]  # (B, H, at+1, E/H)
+        return self._attended(x, q, keys, values)
+
+    def last(self, x: Tensor) -> Tensor:
+        """The newest (B, E) of tokens (B, N, E)."""
+        b, n, e = x.shape
+        normed = self.norm1(x)
+        q = nn.functional.linear(normed[:, -1], self.qkv.weight[:e], self.qkv.bias[:e])
+        others = nn.functional.linear(normed, self.qkv.weight[e:], self.qkv.bias[e:])
+        keys, values = others.view(b, n, 2, self.heads, e // self.heads).permute(2, 0, 3, 1, 4)  # (B, H, N, E/H)
+        return self._attended(x[:, -1], q.view(b, self.heads, -1), keys, values)
+
+    def _attended(self, x: Tensor, q: Tensor, keys: Tensor, values: Tensor) -> Tensor:
+        """A token x (B, E) whose queries (B, H, E/H) have seen keys and values (B, H, N, E/H)."""
+        b, e = x.shape
         score = (keys * (q * (e // self.heads) ** -0.5)[..., None, :]).sum(
             dim=-1
         )  # (B, H, at+1); faster than a product
@@ -160,6 +174,17 @@ class Trunk(nn.Module):
             x = block(x, later)
         states: Tensor = self.norm(x)
         return states
+
+    def last(self, tokens: Tensor) -> Tensor:
+        """The last state (B, E) of tokens (B, N, size) at once; of the last block only what that takes."""
+        n = tokens.shape[1]
+        x = self.embed_out(self.embed_in(tokens).relu())
+        if len(self.blocks) > 1:
+            later = torch.full((n, n), -torch.inf, device=tokens.device).triu(1)[None, None]
+            for block in self.blocks[:-1]:
+                x = block(x, later)
+        state: Tensor = self.norm(cast(CausalBlock, self.blocks[-1]).last(x))
+        return state
 
     def cache(self, batch: int, n: int) -> list[Tensor]:
         """Room for the keys and values of n tokens."""
@@ -211,7 +236,7 @@ class SNet(nn.Module):
         super().__init__()
         self.config, self.extra = config, extra
         self.head = _head(config, view)
-        self.trunk = Trunk(config.techniques * config.tokens.width + self.head.extra + _COUNTS, config)
+        self.trunk = Trunk(config.techniques * config.tokens.width + self.head.extra + COUNTS, config)
 
     def forward(self, rollout: Rollout) -> Tensor:
         """Logarithm of the density of every sample given the rounds before it, (B, N, groups) float32."""
@@ -244,7 +269,7 @@ class SNet(nn.Module):
         axis = torch.arange(self.head.numbers, device=keys.device)
         cache, kept = self.trunk.cache(problem.batch, n), self.head.begin(problem, n)
         token = torch.zeros(problem.batch, self.trunk.embed_in.in_features, device=keys.device)
-        token[:, -_COUNTS - self.head.extra : -_COUNTS] = self.head.before(kept, token)
+        token[:, -COUNTS - self.head.extra : -COUNTS] = self.head.before(kept, token)
         points, densities, looks, records = [], [], [], []
         tokens: list[Tensor] = []
         for first in range(0, n, self.config.together):
@@ -267,7 +292,7 @@ class SNet(nn.Module):
             own = tokenize(Samples(x, look, density, "snet"), self.config.tokens, self.extra)  # (B, k, T, width)
             own = own.flatten(2) if self.config.techniques > 1 else own.mean(dim=2)
             for i in range(count):
-                token = torch.cat([own[:, i], beside, own.new_empty(len(own), _COUNTS)], dim=1)
+                token = torch.cat([own[:, i], beside, own.new_empty(len(own), COUNTS)], dim=1)
                 if i < count - 1:
                     self._read(token, cache, tokens, n)
         samples = Samples(torch.cat(points, dim=1), Observation.join(looks), torch.cat(densities, dim=1), "snet")
@@ -276,7 +301,7 @@ class SNet(nn.Module):
     def _read(self, token: Tensor, cache: list[Tensor], tokens: list[Tensor], n: int) -> Tensor:
         """The state after one more token, which is told its place and kept."""
         at = len(tokens)
-        token[:, -_COUNTS:] = token.new_tensor([float(at > 0), at / n, math.log(n / 32.0)])
+        token[:, -COUNTS:] = token.new_tensor([float(at > 0), at / n, math.log(n / 32.0)])
         tokens.append(token)
         return self.trunk.one(token, cache, at)
 
