@@ -33,6 +33,7 @@ SIZES, PASSES = (32, 64, 128), (4, 8, 16)
 METHODS = ("random", "mis", UNHIDDEN, "structured", "inet", "nqr")
 # Milliseconds of Tables 15 to 17 at 128 squared, test scene 1, over Monte Carlo's: INet, SNet + INet.
 PAPER = {("inet", 4): 6.1, ("inet", 8): 7.5, ("inet", 16): 7.8, ("nqr", 4): 8.0, ("nqr", 8): 11.5, ("nqr", 16): 13.8}
+_MARKS = (5, 10, 20, 50, 100, 200, 500)  # milliseconds
 GOALS = {"structured": 2.0, "inet": 8.0, "nqr": 20.0}
 
 
@@ -89,9 +90,10 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     right.set(xlabel="pixels a side", title=f"{n} passes", yscale="log", xscale="log")
     for axis, ticks in ((left, PASSES), (right, SIZES)):
         axis.set_xticks(ticks, [str(tick) for tick in ticks])
+        axis.set_yticks(_MARKS, [str(tick) for tick in _MARKS])
         axis.minorticks_off()
         axis.grid(color="0.92")
-    left.legend(fontsize=8)
+    left.legend(fontsize=8, loc="lower center", ncol=3)
     save(made, path)
 
 
