@@ -67,7 +67,7 @@ def lamp_tokens(samples: Samples) -> Tensor:
     steady = (found.balance * found.ratio * value / unit).mean(dim=-1, keepdim=True)
     parts = [
         _checked(samples),
-        torch.tensor([1.0, 0.0]).view(2, 1).expand_as(light),
+        light.new_tensor([1.0, 0.0]).view(2, 1).expand_as(light),
         (light >= 0.0).float(),
         visible,
         found.balance,
