@@ -23,7 +23,7 @@ from nqr_geom.streams import Stream
 if TYPE_CHECKING:
     from nqr_geom.render.direct_problem import DirectProblem
 
-__all__ = ["Room", "compiled", "design", "known", "room", "spans"]
+__all__ = ["Room", "compiled", "design", "in_kernels", "known", "room", "spans"]
 
 _LEAST = 8  # rays of slopes; others follow the root of the number of passes
 
@@ -97,6 +97,13 @@ def room(problem: DirectProblem, n: int) -> Room:
     )
 
 
+def in_kernels(sampler: object) -> bool:
+    """Whether `design` knows a sampler."""
+    from nqr_geom.render.direct_sampler import LampSpread
+
+    return type(sampler) in (Random, Pmj, LampSpread)
+
+
 def design(problem: DirectProblem, sampler: object, n: int, stream: Stream) -> list[Any]:
     """The next arguments: what places n passes by "random", "pmj" or "lamp-spread"."""
     from nqr_geom.render.direct_sampler import LampSpread
@@ -117,7 +124,7 @@ def compiled(problem: DirectProblem, sampler: object, n: int) -> Callable[[Strea
     from nqr_geom.render.direct_sampler import LampSpread
     from nqr_geom.render.kernels_lamps import kernel
 
-    if type(sampler) not in (Random, Pmj, LampSpread):
+    if not in_kernels(sampler):
         return None
 
     def whole(stream: Stream) -> Whole:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -15,9 +15,9 @@ from nqr_geom._warp import array, launch, wp
 from nqr_geom.integrator.learn.heads import GridHead
 from nqr_geom.integrator.learn.snet import COUNTS, TILE_ROWS, LearnedSampler, SNet
 from nqr_geom.render.direct_known import Room
-from nqr_geom.render.direct_slabs import SIGHT_TOKENS, LampSlabs
+from nqr_geom.render.direct_slabs import SIGHT_TOKENS, SLABS, LampSlabs
 from nqr_geom.render.kernels_numbers import numbers
-from nqr_geom.render.kernels_rounds import CONTEXT, SIGHT, SLABS, TABLE, begin, place
+from nqr_geom.render.kernels_rounds import CONTEXT, SIGHT, TABLE, begin, place
 from nqr_geom.streams import Stream
 
 if TYPE_CHECKING:
@@ -82,8 +82,7 @@ def draw(problem: DirectProblem, net: SNet, n: int, stream: Stream, room: Room, 
 
 def _tables(net: SNet, read: Tensor, beside: Tensor) -> Tensor:
     """Probabilities of slabs, columns and cells of both groups after the tokens `read` (B, k, width), (B, 2, TABLE)."""
-    assert isinstance(net.head, GridHead)
-    head, floor = net.head, net.config.floor
+    head, floor = cast(GridHead, net.head), net.config.floor  # it is one `in_kernels`
     tables = torch.empty(len(read), 2, TABLE)
 
     def tile(start: int) -> None:

@@ -16,11 +16,21 @@ from nqr_geom.integrator.learn.tokens import Extra, compress, fourier
 from nqr_geom.integrator.problem import Observation, Problem, Samples
 from nqr_geom.integrator.rules import BalanceHeuristic
 
-__all__ = ["SIGHT_TOKENS", "LampSlabs", "lamp_credit", "lamp_doubt", "luminance", "sight_tokens"]
+__all__ = [
+    "FAINT",
+    "KINDS",
+    "SIGHT_TOKENS",
+    "SLABS",
+    "LampSlabs",
+    "lamp_credit",
+    "lamp_doubt",
+    "luminance",
+    "sight_tokens",
+]
 
-_SLABS, _KINDS = 8, 3
+SLABS, KINDS = 8, 3
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
-_FAINT = 0.05  # density below which slabs look alike
+FAINT = 0.05  # density below which slabs look alike
 _EXACT = 1e-3  # error, relative to all light that nothing hides, below which there is nothing to learn
 
 
@@ -43,7 +53,7 @@ class LampSlabs(Slabs):
     """Slabs of the two grids of direct light; those of directions by the material are all alike."""
 
     size = 2
-    context = 2 * _SLABS + _KINDS + 1
+    context = 2 * SLABS + KINDS + 1
 
     def __init__(self, problem: Problem, n: int, counts: tuple[int, ...]) -> None:
         # Its kernels load Warp, which a recipe can do without.
@@ -53,8 +63,8 @@ class LampSlabs(Slabs):
         if not isinstance(problem, DirectProblem):
             raise ValueError(f"problem: expected 'direct', got {problem.name!r}")
         super().__init__(problem, n, counts)
-        if counts != (_SLABS, _SLABS):
-            raise ValueError(f"grid: expected {_SLABS} cells on the first axis of both groups, got {counts}")
+        if counts != (SLABS, SLABS):
+            raise ValueError(f"grid: expected {SLABS} cells on the first axis of both groups, got {counts}")
         self.lit, self.known = problem, known(problem, n)  # (B, L, 3)
         low, length = spans(problem).unbind(dim=-1)
         self.worth = torch.where(length > 0.0, luminance(self.known), 0.0)
@@ -66,7 +76,7 @@ class LampSlabs(Slabs):
         self.change = torch.zeros_like(self.begun)
         surfaces = problem.surfaces
         kind, roughness = (torch.from_numpy(np.ascontiguousarray(surfaces[key])) for key in ("kind", "roughness"))
-        code = torch.nn.functional.one_hot(kind.long() + 1, _KINDS + 1)[:, 1:]
+        code = torch.nn.functional.one_hot(kind.long() + 1, KINDS + 1)[:, 1:]
         self.place = torch.cat([code.double(), roughness.clamp(1e-3, 1.0).log()[:, None]], dim=1)
 
     def _density(self, worth: Tensor) -> Tensor:
@@ -74,7 +84,7 @@ class LampSlabs(Slabs):
         total = worth.sum(dim=1, keepdim=True)
         share = torch.where(total > 0.0, worth / torch.where(total > 0.0, total, 1.0), 0.0)
         density = (share[..., None] * self.part).sum(dim=1)
-        return torch.where(total > 0.0, density + _FAINT, 1.0).log()
+        return torch.where(total > 0.0, density + FAINT, 1.0).log()
 
     def ahead(self) -> Tensor:
         lamps = torch.stack([self.begun, self.change], dim=-1).float()

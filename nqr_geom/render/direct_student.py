@@ -15,10 +15,9 @@ from torch import Tensor
 from nqr_geom._warp import array, launch, wp
 from nqr_geom.integrator.learn.inet import INetConfig
 from nqr_geom.integrator.learn.snet import LearnedSampler
-from nqr_geom.integrator.learn.zoo import Model
+from nqr_geom.integrator.learn.zoo import Model, mix
 from nqr_geom.integrator.problem import Whole
 from nqr_geom.integrator.rules import BalanceHeuristic
-from nqr_geom.integrator.samplers import Pmj, Random
 from nqr_geom.render import direct_known, direct_rounds
 from nqr_geom.render.direct_rules import KnownLight
 from nqr_geom.render.direct_tokens import LAMP_TOKENS
@@ -55,9 +54,7 @@ def compiled(problem: DirectProblem, sampler: object, rule: Model, n: int) -> Ca
     n : int
         Passes.
     """
-    from nqr_geom.render.direct_sampler import LampSpread
-
-    placed = type(sampler) in (Random, Pmj, LampSpread) or direct_rounds.in_kernels(sampler, n)
+    placed = direct_known.in_kernels(sampler) or direct_rounds.in_kernels(sampler, n)
     share = rule.card.share(n)
     if not placed or not _is_student(rule) or share == 0.0:
         return None
@@ -68,9 +65,7 @@ def compiled(problem: DirectProblem, sampler: object, rule: Model, n: int) -> Ca
             for start in range(0, problem.batch, _ROWS)
         ]
         learned, safe, inside, gave_way = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
-        # Either part alone where it counts for all: the other one may then be anything.
-        mixed = learned if share == 1.0 else share * learned + (1.0 - share) * safe
-        value = torch.where(inside[:, None], mixed, safe)
+        value = mix(share * inside.double()[:, None], learned, safe)
         flags = ~inside | gave_way | (share < 0.5 * max(rule.card.shares))
         return Whole(value, flags, 2 * problem.batch * n)
 

@@ -16,10 +16,10 @@ from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_sum
 from nqr_geom.render.direct_rules import known_light, of_same_light
 
-__all__ = ["LAMP_TOKENS", "lamp_tokens"]
+__all__ = ["LAMP_TOKENS", "MANY", "TYPICAL", "lamp_tokens"]
 
-_TYPICAL = 0.1  # radius over distance that stands where no light was hit
-_MANY = 16  # passes
+TYPICAL = 0.1  # radius over distance that stands where no light was hit
+MANY = 16  # passes
 _PLAIN = TokenConfig(dim=6, channels=3)
 
 
@@ -39,7 +39,7 @@ def _checked(samples: Samples) -> Tensor:
         samples.feature(name, "inet") for name in ("bsdf_pdf", "light_radius", "light_distance", "chance")
     )
     chosen = torch.where(chance > 0.0, chance, 1.0)
-    seen = _logarithm(_over(radius, distance, _TYPICAL))
+    seen = _logarithm(_over(radius, distance, TYPICAL))
     return torch.cat([pdf.clamp(0.0, 1e12).log1p(), seen, _logarithm(chosen)], dim=-1).float()
 
 
@@ -77,7 +77,7 @@ def lamp_tokens(samples: Samples) -> Tensor:
         _over(part, total),
         shown,
         _over(squares, total.square()),  # one over how many samples there are in effect
-        _logarithm(number / _MANY),
+        _logarithm(number / MANY),
         visible * (visible - shown),
         _logarithm(_over(everything, met, 1.0)),
         shown_of_all[:, None, None].expand_as(light),

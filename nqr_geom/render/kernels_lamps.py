@@ -15,7 +15,7 @@ from nqr_geom.render.kernels_fused import balance
 from nqr_geom.render.kernels_known import known_for, span_of
 from nqr_geom.render.kernels_numbers import Numbers, coordinate, owen, shuffle
 
-__all__ = ["Lamp", "Record", "Rounds", "kernel", "note", "record", "survey"]
+__all__ = ["Lamp", "Record", "Rounds", "doubt", "kernel", "note", "record", "survey"]
 
 _OFFSET = wp.constant(wp.float64(OFFSET))
 _ZERO = wp.constant(wp.float64(0.0))
@@ -121,14 +121,20 @@ def note(lamps: wp.array(dtype=Lamp), kept: Record):
 
 
 @wp.func
+def doubt(visible: wp.float64, number: wp.float64) -> wp.float64:
+    """Standard deviation of a lamp's visibility, as `direct_slabs.lamp_doubt`."""
+    shown = (visible + _HALF) / (number + _ONE)
+    return wp.sqrt(wp.max(_ZERO, shown * (_ONE - shown)))
+
+
+@wp.func
 def share_out(lamps: wp.array(dtype=Lamp), count: wp.int32, later: wp.bool, even: wp.float64) -> wp.float64:
     """Fill in the share of each lamp in a round; their sum."""
     total = wp.float64(0.0)
     for j in range(count):
         worth = lamps[j].worth
         if later:
-            shown = (lamps[j].visible + _HALF) / (lamps[j].number + _ONE)
-            worth = worth * wp.sqrt(wp.max(_ZERO, shown * (_ONE - shown)))
+            worth = worth * doubt(lamps[j].visible, lamps[j].number)
         lamps[j].share = worth
         total += worth
     given = wp.float64(0.0)

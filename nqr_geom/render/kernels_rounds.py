@@ -7,29 +7,28 @@ from functools import lru_cache
 from typing import Any
 
 from nqr_geom._warp import wp
+from nqr_geom.render.direct_slabs import FAINT, KINDS, SIGHT_TOKENS, SLABS, LampSlabs
 from nqr_geom.render.kernels_bsdf import Surface, frame_of, to_local
 from nqr_geom.render.kernels_direct import OFFSET, World, one_pass_for
 from nqr_geom.render.kernels_known import known_for
-from nqr_geom.render.kernels_lamps import Lamp, Record, note, record, survey
+from nqr_geom.render.kernels_lamps import Lamp, Record, doubt, note, record, survey
 from nqr_geom.render.kernels_numbers import Numbers, coordinate, shuffle
 from nqr_geom.render.kernels_tokens import compressed, logarithm, put
 
-__all__ = ["CONTEXT", "SIGHT", "SLABS", "TABLE", "begin", "place"]
+__all__ = ["CONTEXT", "SIGHT", "TABLE", "begin", "place"]
 
-SLABS, KINDS = 8, 3
-CONTEXT = 2 * SLABS + KINDS + 1  # of a pixel
-SIGHT = 40  # of a technique's sample
+CONTEXT = LampSlabs.context  # of a pixel
+SIGHT = 1 + SIGHT_TOKENS.size  # of a technique's sample: its round's size and its tokens
 CELLS = SLABS**3
 TABLE = SLABS + SLABS**2 + CELLS  # probabilities of slabs, of columns and of cells
 OCTAVES = 5
 
 _OFFSET = wp.constant(wp.float64(OFFSET))
 _ZERO = wp.constant(wp.float64(0.0))
-_HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
 _PI = wp.constant(wp.float64(3.141592653589793))
-_FAINT = wp.constant(wp.float64(0.05))
+_FAINT = wp.constant(wp.float64(FAINT))
 _BELOW_ONE = wp.constant(wp.float64(1.0 - 2.0**-53))
 _LARGEST = wp.constant(wp.float64(16.0))
 _EIGHT = wp.constant(wp.int32(SLABS))
@@ -48,8 +47,7 @@ def slab_density(lamps: wp.array(dtype=Lamp), count: wp.int32, slab: wp.int32, d
         lamp = lamps[j]
         worth = lamp.worth
         if doubtful:
-            shown = (lamp.visible + _HALF) / (lamp.number + _ONE)
-            worth = worth * wp.sqrt(wp.max(_ZERO, shown * (_ONE - shown)))
+            worth = worth * doubt(lamp.visible, lamp.number)
         total += worth
         if lamp.length > _ZERO:
             inside = wp.min(wp.float64(slab + 1) / _SIZE, lamp.low + lamp.length)

@@ -4,6 +4,7 @@ The same tokens as `tokenize` with `lamp_tokens` gives, and the same sum as `ine
 """
 
 from nqr_geom._warp import wp
+from nqr_geom.render.direct_tokens import MANY, TYPICAL
 from nqr_geom.render.kernels_bsdf import Surface
 from nqr_geom.render.kernels_direct import World
 from nqr_geom.render.kernels_lamps import Record
@@ -13,9 +14,9 @@ __all__ = ["Told", "told", "weighed"]
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _THREE = wp.constant(wp.float64(3.0))
-_TYPICAL = wp.constant(wp.float64(0.1))
+_TYPICAL = wp.constant(wp.float64(TYPICAL))
 _SHARPEST = wp.constant(wp.float64(1e12))
-_MANY = wp.constant(wp.float64(16.0))
+_MANY = wp.constant(wp.float64(MANY))
 _LIMIT = wp.constant(wp.float64(16.0))
 _LEAST_GROWTH = wp.constant(wp.float64(-30.0))
 _NOTHING = wp.constant(wp.float64(1e-3))

@@ -26,7 +26,7 @@ from nqr_geom.integrator.learn.tokens import Extra, sort_samples
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 
-__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "save", "trusted", "write_card"]
+__all__ = ["BLEND_SIZES", "Card", "Model", "checked", "load", "mix", "save", "trusted", "write_card"]
 
 BLEND_SIZES = (8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _MARGIN = 0.1  # of the trained range, beyond either end
@@ -300,7 +300,7 @@ class Model(Rule):
         part = share * trusted(safe.doubt, self.card.trust) * inside.to(samples.value.dtype)
         return replace(
             learned,
-            weights=_mix(part[:, None, None, None], learned.weights, safe.weights),
+            weights=mix(part[:, None, None, None], learned.weights, safe.weights),
             offset=_mix_offsets(part, learned, safe),
             fallback=self._gave_way(~inside | (share < 0.5 * max(self.card.shares)), safe, learned),
         )
@@ -326,7 +326,7 @@ def trusted(doubt: Tensor | None, trust: float) -> Tensor | float:
     return doubt / (doubt + trust)
 
 
-def _mix(part: Tensor, learned: Tensor, safe: Tensor) -> Tensor:
+def mix(part: Tensor, learned: Tensor, safe: Tensor) -> Tensor:
     """part learned + (1 - part) safe, exactly either where part is 1 or 0 (and whatever the other one is there)."""
     return torch.where(part == 1.0, learned, torch.where(part == 0.0, safe, part * learned + (1.0 - part) * safe))
 
@@ -338,4 +338,4 @@ def _mix_offsets(part: Tensor, learned: Combination, safe: Combination) -> Tenso
     mine, theirs = (zero if c.offset is None else c.offset for c in (learned, safe))
     most = max(mine.ndim, theirs.ndim)
     mine, theirs = (offset[:, None] if offset.ndim < most else offset for offset in (mine, theirs))
-    return _mix(part.reshape(-1, *[1] * (most - 1)), mine, theirs)
+    return mix(part.reshape(-1, *[1] * (most - 1)), mine, theirs)
