@@ -70,10 +70,16 @@ def rule_named(name: str) -> Rule:
 
 
 def pairs_for(problem: str, classical: Sequence[str] = CLASSICAL, designs: Sequence[str] = DESIGNS) -> list[Pair]:
-    """Every rule on fixed designs, the structured method, and the trained sampler under every rule that can count."""
+    """Every rule on fixed designs, the structured method and networks that learned on its samples, and the trained
+    sampler under every rule that can count."""
+    from nqr_geom.recipes import RECIPES
+
     rules = (*classical, *LEARNED[problem], *STUDENTS.get(problem, ()))
     pairs = [(design, rule) for design in designs for rule in rules]
-    pairs.append(registry.method("structured", problem))
+    place, rule = registry.method("structured", problem)
+    pairs.append((place, rule))
+    networks = [name for name in LEARNED[problem] if name.startswith("inet-")]
+    pairs += [(place, name) for name in networks if place in RECIPES[name.removeprefix("inet-")].designs]
     joint = trained_sampler(problem)
     if joint is not None:
         base = base_of(*joint[::-1])

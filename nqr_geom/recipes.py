@@ -29,6 +29,7 @@ from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
 from nqr_geom.render.training import transmittance_batch
 from nqr_geom.toy.gaps import ToyGaps
+from nqr_geom.toy.law_tokens import LAW_TOKENS, missed
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
 from nqr_geom.wos.steps import LaplaceWalks
 from nqr_geom.wos.tokens import WALK_TOKENS
@@ -37,6 +38,7 @@ from nqr_geom.wos.training import laplace_batch
 __all__ = ["JOINT", "RECIPES", "folder", "model", "named", "rule_of", "sampler"]
 
 _TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=TOY_TOKENS.size, centred=True)
+_LAWS = replace(_TOY, frequencies=2, extra=LAW_TOKENS.size, unit=1.0)  # a jump is of the same size in all rows
 _CURVE = TokenConfig(
     features=(Feature("piece", "index", levels=6), Feature("normal", "direction", 2)),
     extra=CURVE_TOKENS.size,
@@ -91,10 +93,14 @@ RECIPES: dict[str, Recipe] = {
             family=toy_batch,
             base="toy-hermite",
             consistent="toy-hermite",
-            config=INetConfig(_TOY, unit_mass=True, offset=True),
+            # Tokens tell what attention would have to find out. Only gaps that the rule leaves open are shifted.
+            config=INetConfig(_LAWS, layers=0, width=256, weights="kept", offset=True, in_doubt=True),
             sees=("derivative", "piece"),
-            extra=TOY_TOKENS,
-            sizes=((32, 1.0),),  # fewer samples have so much larger errors that nothing else would be learned
+            extra=LAW_TOKENS,
+            sizes=((32, 0.8), (16, 0.1), (64, 0.1)),
+            designs=("random", "random", "stratified", "toy-split"),
+            huber=10.0,
+            missed=missed,
         ),
         Recipe(
             name="gwn-structured",
@@ -269,14 +275,11 @@ JOINT: dict[str, JointRecipe] = {
             replace(
                 RECIPES["toy-structured"],
                 name="toy-nqr",
-                config=replace(RECIPES["toy-structured"].config, in_doubt=True),
                 sizes=((32, 0.8), (24, 0.1), (48, 0.1)),
-                huber=3.0,
             ),
             "toy-structured",
             SNetConfig(_TOY_SAMPLE, sharpness=4.0, profile=_CENTRE, floor=0.002),
             ToyGaps,
-            heads=False,
         ),
         _pair(  # the paper's form: both networks begin with uniform density and weights
             "toy-nqr-uniform",

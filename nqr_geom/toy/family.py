@@ -90,9 +90,16 @@ class Pieces:
 
     def integral(self) -> Tensor:
         """Exact integral over [0, 1], (B,)."""
-        t = self.edges.diff(dim=1)
-        _, _, c2, c3, _ = stumpff(self.alpha * t * t)
-        return row_sum(t * (self.value + t * (self.slope * c2 + t * self.curvature * c3)))
+        return row_sum(_from_start(self.edges.diff(dim=1), self.alpha, self.value, self.slope, self.curvature))
+
+    def antiderivative(self, x: Tensor) -> Tensor:
+        """Integral of f from 0 to x (B, N)."""
+        laws = self.alpha, self.value, self.slope, self.curvature
+        whole = _from_start(self.edges.diff(dim=1), *laws)
+        before = torch.nn.functional.pad(whole.cumsum(dim=1), (1, 0))
+        piece = torch.searchsorted(self.edges[:, 1:-1].contiguous(), x.contiguous(), right=True)
+        within = _from_start(x - self.edges.gather(1, piece), *(tensor.gather(1, piece) for tensor in laws))
+        return before.gather(1, piece) + within
 
     def jumps(self) -> Tensor:
         """Right minus left limit at each break, (B, 4)."""
@@ -113,6 +120,12 @@ class Pieces:
     def take(self, index: slice | Tensor) -> Pieces:
         """The integrands `index`."""
         return Pieces(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+def _from_start(t: Tensor, alpha: Tensor, value: Tensor, slope: Tensor, curvature: Tensor) -> Tensor:
+    """Integral of a piece over its first t."""
+    _, _, c2, c3, _ = stumpff(alpha * t * t)
+    return t * (value + t * (slope * c2 + t * curvature * c3))
 
 
 def _breaks(u: Tensor, shortest: float) -> Tensor:

@@ -135,24 +135,53 @@ def fit(x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, pieces: int) -> 
     alpha = alpha.gather(1, piece)
     curvature = unit * (gamma.gather(1, piece) - alpha * f)
 
-    step = x.diff(dim=1)
-    guess, guess_slope = propagate(alpha[:, :-1], step, value[:, :-1], slope[:, :-1], curvature[:, :-1])
-    # Close samples agree with many laws, so the measure is the step itself.
-    rise, slopes = value.diff(dim=1), slope[:, :-1].abs() + slope[:, 1:].abs()
-    rounding = 1e-14 * (value[:, :-1].abs() + value[:, 1:].abs())
-    off = (guess - value[:, 1:]).abs() > _TRUST * (rise.abs() + step * slopes) + rounding
-    off = off | ((guess_slope - slope[:, 1:]).abs() > 1e3 * _TRUST * slopes + rounding / step.clamp_min(1e-300))
-    off = off & (piece[:, 1:] == piece[:, :-1])
+    off = _strays(x.diff(dim=1), value, slope, alpha, curvature) & (piece[:, 1:] == piece[:, :-1])
     wrong = total(torch.cat([torch.zeros_like(x[:, :1]), off.to(x.dtype)], dim=1)) > 0.5
     known = (~wrong & (count > 1.5)).gather(1, piece)
     return Law(alpha, curvature, known, (wrong & (count > 2.5)).gather(1, piece))
 
 
-def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, highest: float) -> Law:
-    """Fill in the law of pieces with two samples, where these are closer than the shortest period.
+def _strays(step: Tensor, value: Tensor, slope: Tensor, alpha: Tensor, curvature: Tensor) -> Tensor:
+    """Samples (B, N) that do not follow from their left neighbours, (B, N - 1) bool, under laws that broadcast."""
+    left, right = slice(None, -1), slice(1, None)
+    alpha = alpha.expand_as(value)[:, left]
+    guess, guess_slope = propagate(alpha, step, value[:, left], slope[:, left], curvature[:, left])
+    # Close samples agree with many laws, so the measure is the step itself.
+    rise, slopes = value.diff(dim=1), slope[:, left].abs() + slope[:, right].abs()
+    rounding = 1e-14 * (value[:, left].abs() + value[:, right].abs())
+    off = (guess - value[:, right]).abs() > _TRUST * (rise.abs() + step * slopes) + rounding
+    return off | ((guess_slope - slope[:, right]).abs() > 1e3 * _TRUST * slopes + rounding / step.clamp_min(1e-300))
 
-    A wave's values and slopes at distance h obey h (f0' + f1') / (f1 - f0) = theta cot(theta / 2), theta = omega h. The
-    right side falls from 2 to -infinity over one period, so that bisection finds the only root.
+
+def _root(ratio: Tensor) -> Tensor:
+    """theta in (0, 2 pi) with theta cot(theta / 2) = ratio, for ratios below 2."""
+    low, high = torch.zeros_like(ratio), torch.full_like(ratio, 2.0 * math.pi)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        above = middle / torch.tan(0.5 * middle) > ratio
+        low, high = torch.where(above, middle, low), torch.where(above, high, middle)
+    return 0.5 * (low + high)
+
+
+def _polished(omega: Tensor, h: Tensor, rise: Tensor, both: Tensor) -> Tensor:
+    """omega (M, 1) brought to fit all steps h with their rises and sums of slopes (M, K), by Gauss and Newton."""
+    for _ in range(4):
+        theta = omega * h
+        sine, cosine = (0.5 * theta).sin(), (0.5 * theta).cos()
+        off = rise * theta * cosine - h * both * sine
+        by = h * (rise * (cosine - 0.5 * theta * sine) - 0.5 * h * both * cosine)
+        square = by.square().sum(dim=1, keepdim=True)
+        omega = omega - (off * by).sum(dim=1, keepdim=True) / torch.where(square > 0.0, square, 1.0)
+    return omega
+
+
+def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, highest: float) -> Law:
+    """Fill in the law of pieces that `fit` does not tell, from two neighbours closer than the shortest period.
+
+    A wave's values and slopes at distance h obey h (f0' + f1') / (f1 - f0) = theta cot(theta / 2), theta = omega h.
+    The right side falls from 2 to -infinity over one period, so that bisection finds the only root. Where there are
+    more than two samples (`fit` sees squares of f and f' alone, which say nothing where two values are equal), Newton's
+    method makes the root fit all neighbours, and then each sample must follow from its left one, as there.
 
     Parameters
     ----------
@@ -169,28 +198,39 @@ def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, 
     -------
     Law
     """
-    same = piece[:, 1:] == piece[:, :-1]
-    none = torch.zeros_like(same[:, :1])
-    pair = same & ~torch.cat([same[:, 1:], none], dim=1) & ~torch.cat([none, same[:, :-1]], dim=1)
-    pair = pair & ~law.known[:, 1:] & (x.diff(dim=1) * highest < 2.0 * math.pi) & (value.diff(dim=1) != 0.0)
-    row, left = torch.nonzero(pair, as_tuple=True)
-    right = left + 1
-    h = x[row, right] - x[row, left]
-    rise = value[row, right] - value[row, left]
-    ratio = h * (slope[row, left] + slope[row, right]) / rise
-    low, high = torch.zeros_like(h), torch.full_like(h, 2.0 * math.pi)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        above = middle / torch.tan(0.5 * middle) > ratio
-        low, high = torch.where(above, middle, low), torch.where(above, high, middle)
-    omega = 0.5 * (low + high) / h
-    found = (ratio < 2.0) & (omega <= highest)
-    row, left, right, rise, alpha = row[found], left[found], right[found], rise[found], omega[found] ** 2
-    bend = (slope[row, right] - slope[row, left]) * ((slope[row, right] + slope[row, left]) / rise)
-    gamma = 0.5 * (bend + alpha * (value[row, right] + value[row, left]))
-    result = Law(law.alpha.clone(), law.curvature.clone(), law.known.clone(), law.foreign)
-    for index in (left, right):
-        result.alpha[row, index] = alpha
-        result.curvature[row, index] = gamma - alpha * value[row, index]
-        result.known[row, index] = True
+    starts = torch.nn.functional.pad(piece[:, 1:] != piece[:, :-1], (1, 0), value=True)
+    run = starts.cumsum(dim=1)
+    row, first = (starts & ~law.known).nonzero(as_tuple=True)
+    count = (run[row] == run[row, first][:, None]).sum(dim=1)
+    row, first, count = row[count > 1, None], first[count > 1, None], count[count > 1, None]
+    if not len(row):
+        return law
+    at = torch.arange(int(count.max()), device=x.device)
+    column = first + torch.minimum(at, count - 1)  # (M, K): the last sample over and over
+    x, f, d, many = x[row, column], value[row, column], slope[row, column], count > 2
+    h, rise, both = x.diff(dim=1), f.diff(dim=1), d[:, 1:] + d[:, :-1]  # (M, K - 1)
+    # Of what is close enough, the pair that rounding hurts least.
+    told = (h > 0.0) & (h * highest < 2.0 * math.pi) & (rise != 0.0)
+    pair = torch.where(told, (h * rise).abs(), -1.0).argmax(dim=1, keepdim=True)
+    ratio = (h * both / torch.where(told, rise, 1.0)).gather(1, pair)
+    step = torch.where(told, h, 1.0).gather(1, pair)
+    omega = _root(ratio) / step
+    found = told.gather(1, pair) & (ratio < 2.0) & (omega <= highest)
+    omega = torch.where(many, _polished(omega, h, rise, both), omega).clamp(0.0, highest)
+    alpha, half = omega.square(), 0.5 * omega * step
+    turned = torch.where(half > 0.0, half / torch.where(half > 0.0, half, 1.0).tan(), 1.0)
+    ends = [part.gather(1, pair + k) for part in (f, d) for k in (0, 1)]
+    bend = (ends[3] - ends[2]) / step * turned + alpha * (0.5 * (ends[0] + ends[1]) - f)
+    found = found & ~(many & _strays(h, f, d, alpha, bend).any(dim=1, keepdim=True))
+    # A parabola may be told as badly.
+    even = ((d[:, -1:] - d[:, :1]) / (x[:, -1:] - x[:, :1]).clamp_min(1e-300)).expand_as(f)
+    parabola = many & ~_strays(h, f, d, torch.zeros_like(alpha), even).any(dim=1, keepdim=True)
+    bend, alpha = torch.where(parabola, even, bend), torch.where(parabola, 0.0, alpha)
+    keep = (found | parabola).expand_as(column)
+    row, column = row.expand_as(column)[keep], column[keep]
+    result = Law(*(part.clone() for part in (law.alpha, law.curvature, law.known, law.foreign)))
+    result.alpha[row, column] = alpha.expand_as(keep)[keep]
+    result.curvature[row, column] = bend[keep]
+    result.known[row, column] = True
+    result.foreign[row, column] = False
     return result

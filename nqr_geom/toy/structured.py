@@ -35,6 +35,25 @@ class _Points:
 
 
 @dataclass(frozen=True)
+class GapIntegrals:
+    """Integrals over the gaps of B rows.
+
+    Parameters
+    ----------
+    edges : Tensor, (B, N + 2), float64
+        0, the samples in rising order, 1.
+    integral : Tensor, (B, N + 1)
+        Over each gap.
+    law : Law
+        Of the piece that each of the N samples lies in.
+    """
+
+    edges: Tensor
+    integral: Tensor
+    law: Law
+
+
+@dataclass(frozen=True)
 class ToyHermite(Rule):
     """Exact inside pieces whose law the samples determine, posterior mean over the hidden breaks elsewhere.
 
@@ -71,6 +90,23 @@ class ToyHermite(Rule):
     name = "toy-hermite"
 
     def combine(self, samples: Samples) -> Combination:
+        weights = interval_weights(samples.x[..., 0])
+        trapezoid = row_mean(weights * samples.value[..., 0, 0])[:, None]
+        total = row_sum(self.gaps(samples).integral)[:, None]
+        return Combination(weights[..., None, None], total - trapezoid)
+
+    def gaps(self, samples: Samples) -> GapIntegrals:
+        """What the rule says of every gap between neighbouring samples, and of those to both ends of [0, 1].
+
+        Parameters
+        ----------
+        samples : Samples
+            B rows of N samples with derivative and piece index, in any order.
+
+        Returns
+        -------
+        GapIntegrals
+        """
         self._need_1d(samples)
         self._need_one_technique(samples)
         x, order = samples.x[..., 0].sort(dim=1)
@@ -79,13 +115,11 @@ class ToyHermite(Rule):
         piece = samples.feature("piece", self.name)[..., 0, 0].gather(1, order)
         if int(piece.min()) < 0 or int(piece.max()) >= PIECES:
             raise ValueError(f"piece: expected indices 0 .. {PIECES - 1}, got {int(piece.min())} .. {int(piece.max())}")
-        weights = interval_weights(samples.x[..., 0])
-        trapezoid = row_mean(weights * samples.value[..., 0, 0])[:, None]
+        level = row_mean(interval_weights(x) * value)[:, None]
         law = fit(x, value, slope, piece, PIECES)
         law = fit_pairs(law, x, value, slope, piece, self.shape.frequency[1])
-        points = self._with_ends(_Points(x, value, slope, piece, law), trapezoid)
-        total = row_sum(self._gaps(points, trapezoid))[:, None]
-        return Combination(weights[..., None, None], total - trapezoid)
+        points = self._with_ends(_Points(x, value, slope, piece, law), level)
+        return GapIntegrals(points.x, self._gaps(points, level), law)
 
     def _faded(self, level: Tensor, t: Tensor, value: Tensor, slope: Tensor) -> Tensor:
         """Continuation of a sample of unknown law by t: its tangent near it, the level farther away."""

@@ -17,11 +17,11 @@ from nqr_geom.toy.family import Shape
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.split import Gap, Seen
 
-__all__ = ["TOY_TOKENS", "toy_batch"]
+__all__ = ["CENTRED", "TOY_TOKENS", "toy_batch", "toy_doubt", "toy_tokens"]
 
 _LEVEL = 1e-12  # an added constant is not seen: what varies by more than rounding varies
 _ACROSS = 0.98  # of all variation
-_CENTRED = TokenConfig(centred=True)
+CENTRED = TokenConfig(centred=True)
 
 
 def _side(v: Tensor, d: Tensor, other_v: Tensor, other_d: Tensor, step: Tensor, same: Tensor) -> list[Tensor]:
@@ -41,7 +41,7 @@ def _side(v: Tensor, d: Tensor, other_v: Tensor, other_d: Tensor, step: Tensor, 
 def toy_tokens(samples: Samples) -> Tensor:
     """Quantities of samples sorted by x, (B, N, 1, 14) float32."""
     x = samples.x[..., 0]
-    value, unit = standard(samples.value, _CENTRED)
+    value, unit = standard(samples.value, CENTRED)
     v = (value / unit)[:, :, 0, 0].float()
     d = (samples.feature("derivative", "inet") / unit)[:, :, 0, 0].float()
     piece = samples.feature("piece", "inet")[:, :, 0, 0]

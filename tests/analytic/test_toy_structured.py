@@ -107,6 +107,50 @@ def test_close_samples_of_a_wave_do_not_pass_for_a_parabola(step: float) -> None
     assert law.alpha[0, 0].sqrt().item() == pytest.approx(omega, rel=1e-2)
 
 
+# Two samples of nearly equal value, on either side of an extremum: squares of f and f' tell nothing of them.
+FACING = [[0.0, 0.07, -0.0700001, 0.1], [0.02, -0.0200002, 0.055], [0.021, -0.021, 0.05], [-0.06, 0.059999999, 0.08]]
+
+
+def facing(at: list[float], omega: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Samples around an extremum at 0.5, of a wave or (omega = 0) a parabola."""
+    t = torch.tensor([sorted(at)], dtype=torch.float64)
+    if omega:
+        value, slope = 1.3 + 0.8 * torch.cos(omega * t), -0.8 * omega * torch.sin(omega * t)
+    else:
+        value, slope = 1.3 - 9.0 * t**2, -18.0 * t
+    return 0.5 + t, value, slope, torch.full_like(t, 2, dtype=torch.int64)
+
+
+@pytest.mark.parametrize("at", FACING)
+@pytest.mark.parametrize("omega", [0.0, 7.0, 31.0, 60.0, 109.0])
+def test_samples_of_equal_values_tell_a_law_too(at: list[float], omega: float) -> None:
+    samples = facing(at, omega)
+    law = fit_pairs(fit(*samples, PIECES), *samples, 110.0)
+    assert law.known.all()
+    assert not law.foreign.any()
+    x, value, slope, _ = samples
+    there, _ = propagate(law.alpha, 0.63 - x, value, slope, law.curvature)
+    truth = 1.3 + 0.8 * math.cos(omega * 0.13) if omega else 1.3 - 9.0 * 0.13**2
+    torch.testing.assert_close(there, torch.full_like(there, truth), rtol=0.0, atol=3e-6)
+
+
+def test_samples_of_no_law_stay_unknown() -> None:
+    x, value, slope, piece = facing(FACING[1], 31.0)
+    slope = slope + torch.tensor([[0.0, 0.0, 1e-2]], dtype=torch.float64)
+    law = fit_pairs(fit(x, value, slope, piece, PIECES), x, value, slope, piece, 110.0)
+    assert not law.known.any()
+    assert law.foreign.all()
+
+
+def test_pieces_that_come_again_are_not_mixed_up() -> None:
+    """Of data of other makers, only neighbours make a pair."""
+    x, value, slope, _ = facing([-0.03, -0.01, 0.02, 0.024], 40.0)
+    piece = torch.tensor([[1, 2, 1, 1]])
+    law = fit_pairs(fit(x, value, slope, piece, PIECES), x, value, slope, piece, 110.0)
+    assert law.known[0, 2:].all()
+    torch.testing.assert_close(law.alpha[0, 2:], torch.full((2,), 1600.0, dtype=torch.float64), rtol=1e-6, atol=0.0)
+
+
 @pytest.mark.parametrize("slope", [60.0, -200.0])
 def test_two_samples_that_no_wave_of_the_family_explains_tell_nothing(slope: float) -> None:
     x, value = (torch.tensor([t], dtype=torch.float64) for t in ([0.30, 0.34], [0.0, 1.0]))

@@ -59,7 +59,7 @@ def test_doubt_needs_an_application_that_tells_it() -> None:
     samples = registry.make("sampler", "random").draw(PROBLEM, 4, STREAM)
     with pytest.raises(ValueError, match="doubt"):
         doubt(samples, replace(TOY_TOKENS, doubt=None))
-    assert expected_error(RECIPES["toy-structured"], samples) is None
+    assert expected_error(RECIPES["toy-uniform"], samples) is None
     assert not INetConfig().in_doubt
 
 

@@ -37,10 +37,10 @@ class INetConfig:
     layers, width, heads, expansion : int
         Transformer blocks, channels of a token, attention heads, and hidden width of an MLP over `width`. With 0 layers
         every token is read alone, by an MLP of two hidden layers: a student, which a compiled pass can afford.
-    weights : {"relative", "additive"}
-        How a weight is corrected. "additive" is the plain form, W = base + h. "relative" is W = base e^g + h c with
-        c = min(1, unit / |f|): a weight at a near singularity of f can become as small as 1/f without the network
-        having to hit it to that accuracy, and what h adds to an estimate is bounded.
+    weights : {"relative", "additive", "kept"}
+        How a weight is corrected. "kept": not at all. "additive" is the plain form, W = base + h. "relative" is
+        W = base e^g + h c with c = min(1, unit / |f|): a weight at a near singularity of f can become as small as 1/f
+        without the network having to hit it to that accuracy, and what h adds to an estimate is bounded.
     offset : bool
         Whether there is an offset head, in the row's unit.
     unit_mass : bool
@@ -68,7 +68,7 @@ class INetConfig:
     width: int = 64
     heads: int = 2
     expansion: int = 3
-    weights: Literal["relative", "additive"] = "relative"
+    weights: Literal["relative", "additive", "kept"] = "relative"
     offset: bool = False
     unit_mass: bool = False
     doubtful_only: bool = False
@@ -79,10 +79,15 @@ class INetConfig:
     positive: bool = False
 
     @property
+    def skips(self) -> bool:
+        """Whether tokens that the base rule leaves nothing open beside are not read: no other token looks at them."""
+        return self.in_doubt and self.layers == 0
+
+    @property
     def outputs(self) -> int:
-        """Numbers a token gives: for each channel g (if weights are relative), h, and o (if there is an offset); then
-        the weights of the values beside, and the gate."""
-        heads = (2 if self.weights == "relative" else 1) + self.offset
+        """Numbers a token gives: for each channel g (if weights are relative), h (unless they are kept), and o (if
+        there is an offset); then the weights of the values beside, and the gate."""
+        heads = {"relative": 2, "additive": 1, "kept": 0}[self.weights] + self.offset
         return self.tokens.channels * heads + self.beside + self.gated
 
     def to_dict(self) -> dict[str, Any]:
@@ -169,15 +174,16 @@ def correct(
     raw, beside = raw.split([config.outputs - config.beside, config.beside], dim=-1)
     parts = list(raw.split(config.tokens.channels, dim=-1))
     growth = parts.pop(0) if config.weights == "relative" else None  # g
-    change = parts.pop(0)  # h
+    change = parts.pop(0) if config.weights != "kept" else None  # h
     weights = base.weights
-    if growth is not None:
+    if growth is not None and change is not None:
         # Not base + base expm1(g): beside a singularity the weight must be right relative to itself, not to 1.
         weights = weights * torch.exp(growth.clamp(_LEAST_GROWTH, config.growth))
         change = change * (unit / torch.maximum(value.abs(), unit))
-    if config.unit_mass:
-        change = change - row_mean(weights - base.weights + change)[:, None]
-    weights = weights + change
+    if change is not None:
+        if config.unit_mass:
+            change = change - row_mean(weights - base.weights + change)[:, None]
+        weights = weights + change
     shift = row_mean((parts.pop(0) * unit).sum(dim=2)) if config.offset else None  # (B, C)
     if config.beside:
         if extra is None or extra.beside is None:
@@ -302,13 +308,20 @@ class LearnedRule(Rule):
         b, n, t = samples.value.shape[:3]
         rows = max(1, TILE_TOKENS // (n * t))
         kind = self.net.head.weight.dtype
-        raw = torch.empty(b, n, t, self.net.config.outputs, dtype=kind, device=samples.x.device)
+        raw = torch.zeros(b, n, t, self.net.config.outputs, dtype=kind, device=samples.x.device)
+        read: list[Tensor] = []  # the tokens that are not skipped: few, so that those of many rows fill a tile
+        at = doubt(samples, self.extra).gather(1, order) > 0.0 if self.net.config.skips else None
         for start in range(0, b, rows):
             part = slice(start, min(start + rows, b))
             tokens = tokenize(ordered.take(part), self.net.config.tokens, self.extra, kind)
             if samples.dim > 1:  # tokens do not know their neighbours, and are less to move than samples
                 tokens = tokens.gather(1, order[part][..., None, None].expand_as(tokens))
-            raw[part] = self.outputs(tokens.flatten(1, 2)).unflatten(1, (n, t))
+            if at is None:
+                raw[part] = self.outputs(tokens.flatten(1, 2)).unflatten(1, (n, t))
+            else:
+                read.append(tokens[at[part]])
+        if at is not None and bool(at.any()):
+            raw[at] = self.outputs(torch.cat(read))
         return torch.empty_like(raw).scatter(1, order[..., None, None].expand_as(raw), raw)
 
 

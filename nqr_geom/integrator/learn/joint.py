@@ -27,9 +27,11 @@ from nqr_geom.integrator.learn.train import (
     TrainConfig,
     draw_batch,
     expected_error,
+    fitting_precision,
     follow,
     identity,
     launch,
+    piecewise,
     residuals,
     robust,
 )
@@ -175,7 +177,8 @@ def train_jointly(
     start_from : path, optional
         Run of the recipe `recipe.begin`: a new run begins with its averaged network.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`; by default matrices are multiplied in bfloat16 where the hardware does so.
+        As for `lightning_fabric.Fabric`; by default in bfloat16 where the hardware has it and the
+        integrator attention layers.
     progress : bool
         Show a progress bar.
 
@@ -189,7 +192,7 @@ def train_jointly(
     ValueError
         If the folder holds a run of another recipe, batch, group or seed, or `start_from` none of `recipe.begin`.
     """
-    fabric = launch(devices, num_nodes, accelerator, precision)
+    fabric = launch(devices, num_nodes, accelerator, precision or fitting_precision(recipe.rule.config, accelerator))
     run = RunFolder(Path(out))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -207,7 +210,10 @@ def train_jointly(
         samples = sort_samples(rollout.samples)
         before, behind = residuals(recipe.rule, integrator.model, batch, samples)
         expected = expected_error(recipe.rule, samples)
-        value = robust(recipe.rule, before, behind, expected, batch.weight)
+        if recipe.rule.missed is None:
+            value = robust(recipe.rule, before, behind, expected, batch.weight)
+        else:
+            value = piecewise(recipe.rule, integrator.model, batch, samples)
         rate = learning_rate(config, iteration)
         integrator.step(value, rate, iteration)
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)

@@ -84,6 +84,10 @@ class Recipe:
         gradients far below 1e-8 from nothing.
     inner, outer : float
         Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
+    missed : callable, optional
+        (batch, sorted samples of a training family) to what the base rule misses beside each sample, (B, N); together
+        that is its error. A network of 0 layers that only shifts the base in units of doubt then learns from each of
+        them instead of from their sum, in which the others are noise.
     trusts : tuple of float
         Doubts of the consistent rule at which the network may count half of its share (`Card.trust`); the one with the
         least error on validation integrals is taken. 0: that is not asked.
@@ -105,6 +109,7 @@ class Recipe:
     unit: float = 1.0
     inner: float = 0.2
     outer: float = 0.8
+    missed: Callable[[Batch, Samples], Tensor] | None = None
     trusts: tuple[float, ...] = (0.0,)
 
     def base_rule(self) -> Rule:
@@ -126,7 +131,7 @@ class Recipe:
 def draw_samples(problem: Problem, designs: tuple[str, ...], n: int, stream: Stream) -> Samples:
     """Samples of all integrals, each by the design that its global row modulo their number names.
 
-    A network is told nothing of the design but the points themselves and their densities.
+    A network is told nothing of the design but the points themselves and their densities, if all designs have one.
     """
     if len(designs) == 1:
         return registry.make("sampler", designs[0]).draw(problem, n, stream)
@@ -135,7 +140,10 @@ def draw_samples(problem: Problem, designs: tuple[str, ...], n: int, stream: Str
         registry.make("sampler", designs[k]).draw(problem.take((which == k).nonzero()[:, 0]), n, stream)
         for k in which.unique().tolist()
     ]
-    plain = [replace(p, design="+".join(designs), independent=False, stratum=None, volume=None) for p in parts]
+    bare = {"design": "+".join(designs), "independent": False, "stratum": None, "volume": None}
+    if any(part.pdf is None for part in parts):
+        bare["pdf"] = None
+    plain = [replace(part, **bare) for part in parts]
     return Samples.stack(plain).take(which.argsort(stable=True).argsort())
 
 

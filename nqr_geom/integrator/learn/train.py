@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.integrator.learn.inet import INet, correct, doubt, has_bfloat16
+from nqr_geom.integrator.learn.inet import INet, INetConfig, correct, doubt, has_bfloat16
 from nqr_geom.integrator.learn.learner import Learner, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
@@ -157,8 +157,29 @@ def robust(
     return (each if weight is None else each * weight[:, None]).mean()
 
 
+def piecewise(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
+    """Mean (robust) squared error of what the network says of every sample's own part, in units of its doubt.
+
+    A part counts by its doubt over that of its whole row. By the square of it, those that leave most would be all there
+    is; by none, those that leave nothing.
+    """
+    if recipe.missed is None:
+        raise ValueError(f"recipe: expected one that tells what its base rule misses, got {recipe.name!r}")
+    left = doubt(samples, recipe.extra) / samples.n  # (B, N)
+    row, at = (left > 0.0).nonzero(as_tuple=True)
+    size = left[row, at]
+    weight = size / left.square().sum(dim=1).sqrt()[row]
+    if batch.weight is not None:
+        weight = weight * batch.weight[row]
+    tokens = tokenize(samples, recipe.config.tokens, recipe.extra)[row, at]  # (M, 1, width)
+    said, wanted = net(tokens)[:, 0, 0], recipe.missed(batch, samples)[row, at] / size
+    return (weight * _huber(said - wanted, recipe.huber)).sum() / weight.sum().clamp_min(_SMALLEST)
+
+
 def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
     """Mean (robust) squared error of the corrected rule over a batch, before and behind the link."""
+    if recipe.missed is not None:
+        return piecewise(recipe, net, batch, samples)
     return robust(recipe, *residuals(recipe, net, batch, samples), expected_error(recipe, samples), batch.weight)
 
 
@@ -205,7 +226,7 @@ def train(
         Run of another recipe with the same layers, width and tokens, or with fewer of the application's quantities: a
         new run begins with its averaged weights, the heads aside, which always start as the base rule.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`; by default matrices are multiplied in bfloat16 where the hardware does so.
+        As for `lightning_fabric.Fabric`; by default attention layers work in bfloat16 where the hardware does so.
     progress : bool
         Show a progress bar.
 
@@ -219,7 +240,7 @@ def train(
     ValueError
         If the folder holds a run of another recipe, batch or seed.
     """
-    fabric = launch(devices, num_nodes, accelerator, precision)
+    fabric = launch(devices, num_nodes, accelerator, precision or fitting_precision(recipe.config, accelerator))
     run = RunFolder(Path(out))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -306,10 +327,14 @@ def follow(
         run.plot()
 
 
-def launch(devices: int, num_nodes: int, accelerator: str, precision: str | None) -> Any:
+def fitting_precision(config: INetConfig, accelerator: str) -> str:
+    """Products in bfloat16 where the hardware does them and there are attention layers to gain from it."""
+    half = config.layers > 0 and (accelerator != "cpu" or has_bfloat16())
+    return "bf16-mixed" if half else "32-true"
+
+
+def launch(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
     """The launched Fabric; more than one process train by distributed data parallelism."""
-    if precision is None:
-        precision = "bf16-mixed" if accelerator != "cpu" or has_bfloat16() else "32-true"
     module = check.require("lightning_fabric", "learn", "training runs")
     strategy = "ddp" if devices * num_nodes > 1 else "auto"
     fabric = module.Fabric(
