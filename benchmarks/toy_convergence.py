@@ -59,14 +59,17 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def _look(design: str, rule: str) -> dict[str, Any]:
-    """Colour by rule; adaptive samplers dashed, the trained one in a colour of its own."""
+    """Colour by rule, that of a pair its own; adaptive samplers by dashes and marks."""
     name = NAMES.get(rule, rule)
     if design in DESIGNS:
         return {"color": COLOURS.get(rule, SEVERAL[5]), "ls": "-", "marker": "o", "ms": 3.0, "lw": 1.5, "label": name}
+    pair = rule.removeprefix("inet-") == design.removeprefix("snet-")
     trained = trained_sampler("toy")
-    mine = trained is not None and design == trained[0]
-    colour = SEVERAL[3] if trained == (design, rule) else COLOURS.get(rule, "0.5")
-    marks = {"ls": "-.", "marker": "s"} if mine else {"ls": "--", "marker": "D"}
+    if trained is not None and design == trained[0]:
+        marks = {"ls": "-.", "marker": "s"}
+    else:
+        marks = {"ls": ":", "marker": "^"} if design.startswith("snet-") else {"ls": "--", "marker": "D"}
+    colour, name = (SEVERAL[3], "the pair's INet") if pair else (COLOURS.get(rule, "0.5"), name)
     return {"color": colour, "ms": 3.0, "lw": 1.5, "label": f"{name}, {design}", **marks}
 
 

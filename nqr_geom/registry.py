@@ -72,7 +72,7 @@ _RECIPES = "nqr_geom.recipes:"
 # Trained models: recipe, problem, summary. Each is also the rule "inet-" + its name.
 _MODELS = (
     ("toy-uniform", "toy", "network that corrects plain weights on piecewise smooth functions"),
-    ("toy-structured", "toy", "network that corrects toy-hermite"),
+    ("toy-structured", "toy", "small network that shifts what toy-hermite leaves open"),
     ("gwn-uniform", "gwn", "network that corrects plain weights on curves"),
     ("gwn-structured", "gwn", "network that guesses what gwn-hermite has not seen"),
     ("gwn-student", "gwn", "small network for what gwn-hermite has not seen, compiled with it"),
@@ -92,6 +92,7 @@ _PAIRS = (
     ("transmittance-nqr", "transmittance", "samples placed by a network along rays, and the network on clamped-noise"),
     ("laplace-nqr", "laplace", "walks directed by a network step by step, and the network that weighs them"),
     ("direct-nqr", "direct", "passes placed by a network in rounds, and the network that weighs them"),
+    ("toy-nqr", "toy", "samples placed by a network beside breaks, and the network on toy-hermite"),
     ("toy-nqr-uniform", "toy", "samples placed by a network that began uniform, and the network that weighs them"),
 )
 _DIMS = {"laplace": "12", "p-laplace": "12", "direct": "any"}  # of what networks know; else one
@@ -377,7 +378,7 @@ ALIASES: dict[str, str] = {
     "gwn:student": "stratified+inet-gwn-student",
     "gwn:nqr": "snet-gwn-nqr+inet-gwn-nqr",
     "sd:nqr": "snet-sd-nqr+inet-sd-nqr",
-    "toy:nqr": "snet-toy-nqr-uniform+inet-toy-nqr-uniform",
+    "toy:nqr": "snet-toy-nqr+inet-toy-nqr",
     "sd:inet": "stratified+inet-sd-uniform",
     "mc": "random+mc",
     "stratified": "stratified+mc",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +14,14 @@ from scipy.integrate import quad_vec
 from torch import Tensor
 
 from nqr_geom import registry
+from nqr_geom.integrator.learn import joint
 from nqr_geom.integrator.learn.inet import INet, LearnedRule, doubt
+from nqr_geom.integrator.learn.joint import JointConfig, train_jointly
 from nqr_geom.integrator.learn.recipe import Batch, draw_samples
 from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
-from nqr_geom.integrator.learn.train import draw_batch, loss, piecewise
+from nqr_geom.integrator.learn.train import draw_batch, fitting_precision, loss, piecewise
 from nqr_geom.integrator.problem import Samples
-from nqr_geom.recipes import RECIPES
+from nqr_geom.recipes import JOINT, RECIPES
 from nqr_geom.streams import Stream
 from nqr_geom.toy.law_tokens import LAW_TOKENS, missed
 from nqr_geom.toy.problem import ToyProblem
@@ -155,3 +159,25 @@ def test_a_design_without_a_density_takes_it_from_the_others() -> None:
     assert mixed.pdf is None
     alone = registry.make("sampler", "toy-split").draw(problem.take(torch.tensor([1, 3, 5, 7])), 8, Stream(0))
     assert_allclose(sort_samples(mixed.take(torch.tensor([1, 3, 5, 7]))).x, sort_samples(alone).x)
+
+
+def test_pairs_learn_by_parts_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lessons: list[float] = []
+
+    def noted(*arguments: Any) -> Tensor:
+        value = piecewise(*arguments)
+        lessons.append(value.item())
+        return value
+
+    monkeypatch.setattr(joint, "piecewise", noted)
+    config = JointConfig(iterations=3, batch=4, group=2, every=3, validation=8, warmup=1)
+    net, _ = train_jointly(JOINT["toy-nqr"], tmp_path, config, progress=False)
+    assert len(lessons) == 3
+    assert net.head.weight.abs().max() > 0.0
+    told = float((tmp_path / "loss.csv").read_text().splitlines()[-1].split(",")[3])
+    assert told == pytest.approx(np.mean(lessons), rel=1e-4)
+
+
+def test_only_attention_gains_from_bfloat16() -> None:
+    assert fitting_precision(RECIPE.config, "gpu") == "32-true"
+    assert fitting_precision(RECIPES["toy-uniform"].config, "gpu") == "bf16-mixed"
