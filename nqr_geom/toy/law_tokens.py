@@ -12,7 +12,7 @@ from torch.nn.functional import pad
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.integrator.learn.tokens import Extra, compress, standard
 from nqr_geom.integrator.problem import Samples
-from nqr_geom.integrator.sums import row_mean
+from nqr_geom.integrator.sums import row_mean, row_sum
 from nqr_geom.toy.family import PIECES, Shape
 from nqr_geom.toy.law import Law, propagate
 from nqr_geom.toy.problem import ToyProblem
@@ -119,7 +119,7 @@ def _across(samples: Samples, law: Law) -> Tensor:
 
 def _spread(v: Tensor) -> Tensor:
     """Logarithm of the standard deviation of values, (B, 1)."""
-    return ((v - row_mean(v)[:, None]).square().mean(dim=1, keepdim=True).sqrt() + 1e-30).log()
+    return (row_mean((v - row_mean(v)[:, None]).square())[:, None].sqrt() + 1e-30).log()
 
 
 def _row(samples: Samples, law: Law, level: Tensor) -> Tensor:
@@ -129,7 +129,7 @@ def _row(samples: Samples, law: Law, level: Tensor) -> Tensor:
     wave, above, _ = _waves(v, d, law)
     off = torch.where(wave, v - level + above, 0.0)
     count = wave.sum(dim=1, keepdim=True)
-    centre = off.sum(dim=1, keepdim=True) / count.clamp_min(1)
+    centre = row_sum(off)[:, None] / count.clamp_min(1)
     low, high = (end[:, None] - level for end in v.aminmax(dim=1))
     middle = v.median(dim=1, keepdim=True).values - level
     parts = [low / jump, high / jump, middle / jump, centre / jump, (count > 0).to(v.dtype), _spread(v)]
