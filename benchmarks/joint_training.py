@@ -51,7 +51,7 @@ def trained(name: str, config: JointConfig, keep: Path) -> list[tuple[int, float
     """The loss curve of a variant."""
     sampler, rate = VARIANTS[name]
     rule = replace(PAPER.rule, name=f"toy-{list(VARIANTS).index(name)}", sizes=((32, 1.0),))
-    recipe = JointRecipe(rule, PAPER.begin, sampler, PAPER.view)
+    recipe = JointRecipe(rule, PAPER.begin, sampler, None if sampler.head == "grid" else PAPER.view)
     folder = keep / rule.name
     train_jointly(recipe, folder, replace(config, sampler_rate=rate), start_from=ROOT / "training" / PAPER.begin)
     return curve(folder)
