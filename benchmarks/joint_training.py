@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from figures import DOCS, SEVERAL, figure, save
+from matplotlib.ticker import LogLocator
 from rich.console import Console
 from rich.table import Table
 from shapes import write
@@ -66,6 +67,7 @@ def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float, path: P
     for colour, (name, points) in zip(SEVERAL, curves.items(), strict=False):
         at, mse = np.array(points).T
         axes.plot(at, monte_carlo / mse, color=colour, label=name, linestyle="--" if "frozen" in name else "-")
+    axes.yaxis.set_minor_locator(LogLocator(subs=[2, 3, 5]))
     for part in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         part("{x:g}")
     axes.grid(alpha=0.3)

@@ -29,7 +29,7 @@ from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
 from nqr_geom.render.training import transmittance_batch
 from nqr_geom.toy.gaps import ToyGaps
-from nqr_geom.toy.law_tokens import LAW_TOKENS, missed
+from nqr_geom.toy.law_tokens import LAW_TOKENS, TOLD_TOKENS, missed
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
 from nqr_geom.wos.steps import LaplaceWalks
 from nqr_geom.wos.tokens import WALK_TOKENS
@@ -85,6 +85,18 @@ RECIPES: dict[str, Recipe] = {
             config=INetConfig(_TOY, unit_mass=True),
             sees=("derivative", "piece"),
             extra=TOY_TOKENS,
+            sizes=_SIZES,
+        ),
+        Recipe(
+            name="toy-told",
+            problem="toy",
+            family=toy_batch,
+            base="uniform",
+            consistent="toy-hermite",
+            # Without unit mass: what the rule would have samples count does not leave the mean weight at one.
+            config=INetConfig(replace(_LAWS, extra=TOLD_TOKENS.size, unit=None), layers=0, width=256),
+            sees=("derivative", "piece"),
+            extra=TOLD_TOKENS,
             sizes=_SIZES,
         ),
         Recipe(

@@ -5,6 +5,8 @@ A token stands for one sample and for the gap to its right; the first one also a
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -19,7 +21,7 @@ from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.structured import ToyHermite
 from nqr_geom.toy.tokens import CENTRED, TOY_TOKENS, toy_doubt, toy_tokens
 
-__all__ = ["LAW_TOKENS", "missed"]
+__all__ = ["LAW_TOKENS", "TOLD_TOKENS", "missed"]
 
 _REACH = 0.04  # a usual gap: slopes and curvatures count over this distance
 _NODES = 8  # places of a break, from one end of a gap to the other
@@ -27,6 +29,7 @@ _OWN = 14  # quantities of a sample
 _BESIDE = _OWN + 6
 _ROW = 6
 _LARGEST = 1e6  # of a continued law, in jumps
+_MOST = 16.0  # that a sample is told to count more, in the row's unit
 _SLOWEST = (0.5 * Shape().frequency[0]) ** 2  # alpha of a wave: below, rounding bends a parabola
 _SIZE = TOY_TOKENS.size + _OWN + 4 * _BESIDE + 3 * _NODES + 3 + _ROW
 
@@ -157,6 +160,21 @@ def law_tokens(samples: Samples) -> Tensor:
     return torch.cat([toy_tokens(samples)[:, :, 0], torch.cat(parts, dim=-1).float()], dim=-1)[:, :, None]
 
 
+def told_tokens(samples: Samples) -> Tensor:
+    """`law_tokens`, and by how much the sample would have to count more for the rule's answer, (B, N, 1, size) float32.
+
+    A sample stands for half of the gaps to both sides, and for all beyond the outermost. The last quantity but one is
+    in the row's unit, the last one compressed.
+    """
+    gaps = ToyHermite().gaps(samples).integral
+    half, n = 0.5 * gaps[:, 1:-1], samples.n
+    own = pad(half, (1, 0)) + pad(half, (0, 1)) + pad(gaps[:, :1], (0, n - 1)) + pad(gaps[:, -1:], (n - 1, 0))
+    _, unit = standard(samples.value, CENTRED)
+    more = (n * own - samples.value[:, :, 0, 0]) / unit[:, :, 0, 0]
+    parts = torch.stack([more.clamp(-_MOST, _MOST), more.asinh()], dim=-1)[:, :, None]
+    return torch.cat([law_tokens(samples), parts.float()], dim=-1)
+
+
 def _checked(samples: Samples) -> Tensor:
     """Those quantities that tell whether data resemble the family, (B, N, 1, 2): slopes, and the spread of values."""
     _, v, d, _ = _seen(samples)
@@ -183,3 +201,4 @@ LAW_TOKENS = Extra(
     foreign=TOY_TOKENS.foreign,
     doubt=toy_doubt,
 )
+TOLD_TOKENS = replace(LAW_TOKENS, size=_SIZE + 2, compute=told_tokens, doubt=None)
