@@ -77,7 +77,7 @@ def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float, path: P
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a few iterations, to see that it runs")
+    parser.add_argument("--quick", action="store_true", help="a few iterations, to see that it runs; writes nothing")
     parser.add_argument("--keep", type=Path, help="folder of the runs, which are continued")
     arguments = parser.parse_args()
     config = replace(TRAINING, iterations=4, every=2, validation=64) if arguments.quick else TRAINING
@@ -98,6 +98,8 @@ def main() -> None:
     for row in rows:
         table.add_row(row["variant"], f"{row['first']:.2e}", f"{row['mse']:.2e}", f"{row['ratio']:.0f}")
     Console().print(table)
+    if arguments.quick:
+        return
     draw(curves, plain, DOCS / "joint-training.png")
     print(write("joint_training", rows, iterations=config.iterations, batch=config.batch, group=config.group,
                 every=config.every, monte_carlo=plain, curves=curves))  # fmt: skip
