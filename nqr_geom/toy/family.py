@@ -81,12 +81,16 @@ class Pieces:
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """f, f' and the piece index (int64) at x (B, N); a break belongs to the piece on its right."""
-        piece = torch.searchsorted(self.edges[:, 1:-1].contiguous(), x.contiguous(), right=True)
+        piece = self._piece(x)
         t = x - self.edges.gather(1, piece)
         value, slope, curvature, alpha = (
             tensor.gather(1, piece) for tensor in (self.value, self.slope, self.curvature, self.alpha)
         )
         return *propagate(alpha, t, value, slope, curvature), piece
+
+    def _piece(self, x: Tensor) -> Tensor:
+        """Piece of each x (B, N); a break belongs to the one on its right."""
+        return torch.searchsorted(self.edges[:, 1:-1].contiguous(), x.contiguous(), right=True)
 
     def integral(self) -> Tensor:
         """Exact integral over [0, 1], (B,)."""
@@ -97,7 +101,7 @@ class Pieces:
         laws = self.alpha, self.value, self.slope, self.curvature
         whole = _from_start(self.edges.diff(dim=1), *laws)
         before = torch.nn.functional.pad(whole.cumsum(dim=1), (1, 0))
-        piece = torch.searchsorted(self.edges[:, 1:-1].contiguous(), x.contiguous(), right=True)
+        piece = self._piece(x)
         within = _from_start(x - self.edges.gather(1, piece), *(tensor.gather(1, piece) for tensor in laws))
         return before.gather(1, piece) + within
 

@@ -219,8 +219,8 @@ def fit_pairs(law: Law, x: Tensor, value: Tensor, slope: Tensor, piece: Tensor, 
     omega = torch.where(many, _polished(omega, h, rise, both), omega).clamp(0.0, highest)
     alpha, half = omega.square(), 0.5 * omega * step
     turned = torch.where(half > 0.0, half / torch.where(half > 0.0, half, 1.0).tan(), 1.0)
-    ends = [part.gather(1, pair + k) for part in (f, d) for k in (0, 1)]
-    bend = (ends[3] - ends[2]) / step * turned + alpha * (0.5 * (ends[0] + ends[1]) - f)
+    f0, f1, d0, d1 = (part.gather(1, pair + k) for part in (f, d) for k in (0, 1))
+    bend = (d1 - d0) / step * turned + alpha * (0.5 * (f0 + f1) - f)
     found = found & ~(many & _strays(h, f, d, alpha, bend).any(dim=1, keepdim=True))
     # A parabola may be told as badly.
     even = ((d[:, -1:] - d[:, :1]) / (x[:, -1:] - x[:, :1]).clamp_min(1e-300)).expand_as(f)

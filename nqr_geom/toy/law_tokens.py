@@ -12,14 +12,14 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from nqr_geom.integrator.learn.recipe import Batch
-from nqr_geom.integrator.learn.tokens import Extra, compress, standard
+from nqr_geom.integrator.learn.tokens import Extra, standard
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean, row_sum
 from nqr_geom.toy.family import PIECES, Shape
 from nqr_geom.toy.law import Law, propagate
 from nqr_geom.toy.problem import ToyProblem
-from nqr_geom.toy.structured import ToyHermite
-from nqr_geom.toy.tokens import CENTRED, TOY_TOKENS, toy_doubt, toy_tokens
+from nqr_geom.toy.structured import GapIntegrals, ToyHermite
+from nqr_geom.toy.tokens import CENTRED, TOY_TOKENS, toy_checked, toy_doubt, toy_tokens
 
 __all__ = ["LAW_TOKENS", "TOLD_TOKENS", "missed"]
 
@@ -139,11 +139,14 @@ def _row(samples: Samples, law: Law, level: Tensor) -> Tensor:
     return torch.stack(parts, dim=-1)
 
 
-def law_tokens(samples: Samples) -> Tensor:
-    """Quantities of samples sorted by x, (B, N, 1, size) float32; those of `toy_tokens` come first."""
+def law_tokens(samples: Samples, gaps: GapIntegrals | None = None) -> Tensor:
+    """Quantities of samples sorted by x, (B, N, 1, size) float32; those of `toy_tokens` come first.
+
+    `gaps` is what `ToyHermite` says of them, if that is known.
+    """
     x, v, _, piece = _seen(samples)
     level = row_mean(v)[:, None]
-    gaps = ToyHermite().gaps(samples)
+    gaps = gaps or ToyHermite().gaps(samples)
     own = _own(samples, gaps.law, level)
     h = gaps.edges.diff(dim=1)[:, 1:]
     mean = gaps.integral[:, 1:] / h.clamp_min(1e-12) - level
@@ -166,21 +169,19 @@ def told_tokens(samples: Samples) -> Tensor:
     A sample stands for half of the gaps to both sides, and for all beyond the outermost. The last quantity but one is
     in the row's unit, the last one compressed.
     """
-    gaps = ToyHermite().gaps(samples).integral
-    half, n = 0.5 * gaps[:, 1:-1], samples.n
-    own = pad(half, (1, 0)) + pad(half, (0, 1)) + pad(gaps[:, :1], (0, n - 1)) + pad(gaps[:, -1:], (n - 1, 0))
+    gaps = ToyHermite().gaps(samples)
+    first, inner, last = gaps.integral.split([1, samples.n - 1, 1], dim=1)
+    left, right = torch.cat([first, 0.5 * inner], dim=1), torch.cat([0.5 * inner, last], dim=1)
     _, unit = standard(samples.value, CENTRED)
-    more = (n * own - samples.value[:, :, 0, 0]) / unit[:, :, 0, 0]
+    more = (samples.n * (left + right) - samples.value[:, :, 0, 0]) / unit[:, :, 0, 0]
     parts = torch.stack([more.clamp(-_MOST, _MOST), more.asinh()], dim=-1)[:, :, None]
-    return torch.cat([law_tokens(samples), parts.float()], dim=-1)
+    return torch.cat([law_tokens(samples, gaps), parts.float()], dim=-1)
 
 
 def _checked(samples: Samples) -> Tensor:
-    """Those quantities that tell whether data resemble the family, (B, N, 1, 2): slopes, and the spread of values."""
-    _, v, d, _ = _seen(samples)
-    _, unit = standard(samples.value, CENTRED)
-    slope = compress((d / unit[:, :, 0, 0]).float(), 10.0)
-    return torch.stack([slope, _spread(v).float().expand_as(slope)], dim=-1)[:, :, None]
+    """What tells whether data resemble the family, (B, N, 1, 2) float32: slopes, and the spread of values."""
+    slope = toy_checked(samples)
+    return torch.cat([slope, _spread(samples.value[..., 0, 0]).float()[..., None, None].expand_as(slope)], dim=-1)
 
 
 def missed(batch: Batch, samples: Samples) -> Tensor:
@@ -201,4 +202,4 @@ LAW_TOKENS = Extra(
     foreign=TOY_TOKENS.foreign,
     doubt=toy_doubt,
 )
-TOLD_TOKENS = replace(LAW_TOKENS, size=_SIZE + 2, compute=told_tokens, doubt=None)
+TOLD_TOKENS = replace(LAW_TOKENS, size=_SIZE + 2, compute=told_tokens)

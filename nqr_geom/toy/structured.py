@@ -18,7 +18,7 @@ from nqr_geom.integrator.sums import row_mean, row_sum
 from nqr_geom.toy.family import PIECES, Shape
 from nqr_geom.toy.law import Law, fit, fit_pairs, propagate, stumpff
 
-__all__ = ["ToyHermite"]
+__all__ = ["GapIntegrals", "ToyHermite"]
 
 _NODES = 8  # positions of a break that are weighed against each other
 

@@ -17,7 +17,7 @@ from nqr_geom.toy.family import Shape
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.split import Gap, Seen
 
-__all__ = ["CENTRED", "TOY_TOKENS", "toy_batch", "toy_doubt", "toy_tokens"]
+__all__ = ["CENTRED", "TOY_TOKENS", "toy_batch", "toy_checked", "toy_doubt", "toy_tokens"]
 
 _LEVEL = 1e-12  # an added constant is not seen: what varies by more than rounding varies
 _ACROSS = 0.98  # of all variation
@@ -38,12 +38,23 @@ def _side(v: Tensor, d: Tensor, other_v: Tensor, other_d: Tensor, step: Tensor, 
     ]
 
 
+def _slopes(samples: Samples) -> Tensor:
+    """f' in the row's unit, (B, N) float32."""
+    _, unit = standard(samples.value, CENTRED)
+    return (samples.feature("derivative", "inet") / unit)[:, :, 0, 0].float()
+
+
+def toy_checked(samples: Samples) -> Tensor:
+    """What tells whether data resemble the family, (B, N, 1, 1) float32."""
+    return compress(_slopes(samples), 10.0)[:, :, None, None]
+
+
 def toy_tokens(samples: Samples) -> Tensor:
     """Quantities of samples sorted by x, (B, N, 1, 14) float32."""
     x = samples.x[..., 0]
     value, unit = standard(samples.value, CENTRED)
     v = (value / unit)[:, :, 0, 0].float()
-    d = (samples.feature("derivative", "inet") / unit)[:, :, 0, 0].float()
+    d = _slopes(samples)
     piece = samples.feature("piece", "inet")[:, :, 0, 0]
     step = torch.nn.functional.pad(x.diff(dim=1), (1, 1)).float()
     same = torch.nn.functional.pad(piece.diff(dim=1) == 0, (1, 1))
@@ -90,7 +101,7 @@ def toy_doubt(samples: Samples) -> Tensor:
     return torch.empty_like(own).scatter(1, order, n * own.sqrt())
 
 
-TOY_TOKENS = Extra(14, toy_tokens, checked=(1,), foreign=_unlike, doubt=toy_doubt)
+TOY_TOKENS = Extra(14, toy_tokens, checked=(1,), check=toy_checked, foreign=_unlike, doubt=toy_doubt)
 
 
 def toy_batch(rows: Tensor, seed: int, split: str) -> Batch:

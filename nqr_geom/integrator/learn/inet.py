@@ -173,14 +173,14 @@ def correct(
         raw = raw * doubt(samples, extra)[..., None, None]
     raw, beside = raw.split([config.outputs - config.beside, config.beside], dim=-1)
     parts = list(raw.split(config.tokens.channels, dim=-1))
-    growth = parts.pop(0) if config.weights == "relative" else None  # g
-    change = parts.pop(0) if config.weights != "kept" else None  # h
     weights = base.weights
-    if growth is not None and change is not None:
+    if config.weights == "relative":
         # Not base + base expm1(g): beside a singularity the weight must be right relative to itself, not to 1.
-        weights = weights * torch.exp(growth.clamp(_LEAST_GROWTH, config.growth))
-        change = change * (unit / torch.maximum(value.abs(), unit))
-    if change is not None:
+        weights = weights * torch.exp(parts.pop(0).clamp(_LEAST_GROWTH, config.growth))  # g
+    if config.weights != "kept":
+        change = parts.pop(0)  # h
+        if config.weights == "relative":
+            change = change * (unit / torch.maximum(value.abs(), unit))
         if config.unit_mass:
             change = change - row_mean(weights - base.weights + change)[:, None]
         weights = weights + change

@@ -27,7 +27,6 @@ from nqr_geom.integrator.learn.train import (
     TrainConfig,
     draw_batch,
     expected_error,
-    fitting_precision,
     follow,
     identity,
     launch,
@@ -177,8 +176,8 @@ def train_jointly(
     start_from : path, optional
         Run of the recipe `recipe.begin`: a new run begins with its averaged network.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`; by default in bfloat16 where the hardware has it and the
-        integrator attention layers.
+        As for `lightning_fabric.Fabric`; by default in bfloat16 where the hardware has it and the integrator
+        has attention layers.
     progress : bool
         Show a progress bar.
 
@@ -192,7 +191,7 @@ def train_jointly(
     ValueError
         If the folder holds a run of another recipe, batch, group or seed, or `start_from` none of `recipe.begin`.
     """
-    fabric = launch(devices, num_nodes, accelerator, precision or fitting_precision(recipe.rule.config, accelerator))
+    fabric = launch(recipe.rule.config, devices, num_nodes, accelerator, precision)
     run = RunFolder(Path(out))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)

@@ -240,7 +240,7 @@ def train(
     ValueError
         If the folder holds a run of another recipe, batch or seed.
     """
-    fabric = launch(devices, num_nodes, accelerator, precision or fitting_precision(recipe.config, accelerator))
+    fabric = launch(recipe.config, devices, num_nodes, accelerator, precision)
     run = RunFolder(Path(out))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
@@ -333,8 +333,9 @@ def fitting_precision(config: INetConfig, accelerator: str) -> str:
     return "bf16-mixed" if half else "32-true"
 
 
-def launch(devices: int, num_nodes: int, accelerator: str, precision: str) -> Any:
+def launch(config: INetConfig, devices: int, num_nodes: int, accelerator: str, precision: str | None) -> Any:
     """The launched Fabric; more than one process train by distributed data parallelism."""
+    precision = precision or fitting_precision(config, accelerator)
     module = check.require("lightning_fabric", "learn", "training runs")
     strategy = "ddp" if devices * num_nodes > 1 else "auto"
     fabric = module.Fabric(
