@@ -44,6 +44,25 @@ def exact(rows: list[Row]) -> str:
     )
 
 
+def exact_sd(rows: list[Row]) -> str:
+    def cell(row: Row, key: str) -> str:
+        return f"{short(row[f'us_{key}'])} ({row[f'error_{key}']:.0e})" if f"us_{key}" in row else ""
+
+    return markdown(
+        ["curve, us a query (error)", "alpha", "exact", "gradient", "structured, 32", "fixed rule", "Monte Carlo, 32"],
+        [
+            [
+                row["case"],
+                short(row["alpha"]),
+                short(row["us_exact"]),
+                short(row["us_gradient"]),
+                *(cell(row, key) for key in ("structured", "fixed", "mc")),
+            ]
+            for row in rows
+        ],
+    )
+
+
 def calibration(rows: list[Row]) -> str:
     return markdown(
         ["method on the toy family", "mean squared error", "paper", "x Monte Carlo", "95%", "paper"],
@@ -219,6 +238,7 @@ def nonlinear(rows: list[Row]) -> str:
 SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("exact_gwn", "Exact winding numbers against libigl's, same run, all cores", exact),
     ("exact_distance", "Closest points against libigl's", exact),
+    ("exact_sd", "Exact smoothed distances next to what sees points of the curve only", exact_sd),
     ("gwn_methods", "Curves from point queries only: shapes of Fig. 38, Lissajous and Fourier curves", methods),
     ("gwn_time", "What a winding number costs in time", times),
     ("snet_time", "What placing samples by a network costs, compiled and not", sampling),

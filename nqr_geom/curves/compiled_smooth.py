@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nqr_geom.curves._rows import over_rows
 from nqr_geom.curves.compiled import Floats, Ints, _at, _halves, _place, _reach, _sort, _through, _with_term
-from nqr_geom.integrator.samplers import gauss_legendre
+from nqr_geom.curves.gauss import BEND, BENT, COUNT, LONGEST, NODES, STRAIGHT, WEIGHTS, exponentials
 from nqr_geom.keyed import mixed, unit, unsigned
 
 __all__ = ["rebuilt", "sampled"]
@@ -21,10 +21,8 @@ __all__ = ["rebuilt", "sampled"]
 _TINY = 1e-280
 _SHORTEST = 1e-300
 _LEVELS = 60  # as in `hermite`, as all that follows
-_SPREAD = 6.0
 _UNSEEN = 36.0
 _KINK = 1e-5
-_NODES, _WEIGHTS = gauss_legendre(8)
 
 _inline = njit(inline="always", error_model="numpy")
 _function = njit(error_model="numpy")
@@ -84,21 +82,18 @@ def sampled(
 
 
 @_inline
-def _length(x, y):  # type: ignore[no-untyped-def]
-    return math.sqrt(x * x + y * y)
-
-
-@_inline
 def _square(x, y):  # type: ignore[no-untyped-def]
     return x * x + y * y
 
 
 @_function
-def _add(q, alpha, shift, so_far, stack, levels):  # type: ignore[no-untyped-def]
+def _add(q, alpha, shift, so_far, room):  # type: ignore[no-untyped-def]
     """One cubic's part of the integral: `hermite.log_integral` on a stack.
 
-    `so_far` holds the distance of the closest point that has been seen, the largest exponent, and the sum over it.
+    `so_far` holds the squared distance of the closest point that has been seen, the largest exponent, and the sum
+    over it.
     """
+    stack, levels, power, speed, scale, bits = room
     stack[0] = q
     levels[0] = 0
     top = 1
@@ -106,46 +101,55 @@ def _add(q, alpha, shift, so_far, stack, levels):  # type: ignore[no-untyped-def
         top -= 1
         x0, y0, x1, y1, x2, y2, x3, y3 = stack[top]
         level = levels[top]
-        first, last = _length(x0, y0), _length(x3, y3)
+        first, last = _square(x0, y0), _square(x3, y3)
         so_far[0] = min(so_far[0], first, last)
         cx, cy = x3 - x0, y3 - y0
         along = min(max(-(x0 * cx + y0 * cy) / max(cx * cx + cy * cy, _SHORTEST), 0.0), 1.0)
-        off = max(
-            _length(x1 - x0 - cx / 3.0, y1 - y0 - cy / 3.0),
-            _length(x2 - x0 - cx * (2.0 / 3.0), y2 - y0 - cy * (2.0 / 3.0)),
-        )
-        near = max(_length(x0 + along * cx, y0 + along * cy) - off, 0.0)
-        if alpha * (near - so_far[0]) >= _UNSEEN:
-            continue
-        behind = max(alpha * (near - shift), 0.0)
-        far = max(first, last) + off
-        ax, ay, bx, by, dx, dy = x1 - x0, y1 - y0, x2 - x1, y2 - y1, x3 - x2, y3 - y2
-        a, b, d = ax * ax + ay * ay, bx * bx + by * by, dx * dx + dy * dy
-        apart = max(_square(bx - ax, by - ay), _square(dx - bx, dy - by), _square(dx - ax, dy - ay))
-        even = apart <= 0.25 * min(a, b, d)
-        legs = math.sqrt(a) + math.sqrt(b) + math.sqrt(d)
-        sure = alpha * (far - near) <= _SPREAD * (1.0 + behind / 16.0) and (
-            (2.0 * legs <= near and even) or alpha * legs <= _KINK
-        )
-        if not sure and level < _LEVELS - 1:
-            stack[top + 1], stack[top] = _halves((x0, y0, x1, y1, x2, y2, x3, y3))
-            levels[top] = levels[top + 1] = level + 1
-            top += 2
-            continue
-        for j in range(8):
-            u = _NODES[j]
-            v = 1.0 - u
-            a, b, c, d = v * v * v, 3.0 * u * v * v, 3.0 * u * u * v, u * u * u
-            distance = _length(a * x0 + b * x1 + c * x2 + d * x3, a * y0 + b * y1 + c * y2 + d * y3)
-            a, b, c = v * v, 2.0 * u * v, u * u
-            speed = 3.0 * _length(
-                a * (x1 - x0) + b * (x2 - x1) + c * (x3 - x2), a * (y1 - y0) + b * (y2 - y1) + c * (y3 - y2)
+        off = math.sqrt(
+            max(
+                _square(x1 - x0 - cx / 3.0, y1 - y0 - cy / 3.0),
+                _square(x2 - x0 - cx * (2.0 / 3.0), y2 - y0 - cy * (2.0 / 3.0)),
             )
-            power = -alpha * (distance - shift)
-            if power > so_far[1]:
-                so_far[2] *= math.exp(so_far[1] - power)
-                so_far[1] = power
-            so_far[2] += math.exp(power - so_far[1]) * speed * _WEIGHTS[j]
+        )
+        near = max(math.sqrt(_square(x0 + along * cx, y0 + along * cy)) - off, 0.0)
+        beyond = near - _UNSEEN / alpha
+        if beyond > 0.0 and beyond * beyond >= so_far[0]:
+            continue
+        ax, ay, bx, by, dx, dy = x1 - x0, y1 - y0, x2 - x1, y2 - y1, x3 - x2, y3 - y2
+        a, b, d = _square(ax, ay), _square(bx, by), _square(dx, dy)
+        legs = 3.0 * (a + b + d)  # no less than the square of their sum
+        if level < _LEVELS - 1 and legs > (_KINK / alpha) ** 2:
+            spread = alpha * (math.sqrt(max(first, last)) + off - near)
+            farther = 1.0 + max(alpha * (near - shift), 0.0) / (2.0 * COUNT)
+            turn = max(_square(bx - ax, by - ay), _square(dx - bx, dy - by))
+            even = max(turn, _square(dx - ax, dy - ay)) <= min(a, b, d)
+            bend = alpha * (0.125 * legs / max(near, _SHORTEST) + 0.75 * math.sqrt(turn))
+            tame = spread <= BENT * farther or spread + BEND * bend <= STRAIGHT * farther
+            if not (tame and even and legs <= LONGEST * near * near):
+                stack[top + 1], stack[top] = _halves((x0, y0, x1, y1, x2, y2, x3, y3))
+                levels[top] = levels[top + 1] = level + 1
+                top += 2
+                continue
+        ax, ay, bx, by, dx, dy = 3.0 * ax, 3.0 * ay, 3.0 * bx, 3.0 * by, 3.0 * dx, 3.0 * dy
+        bx, by = bx - ax, by - ay
+        dx, dy = (dx - ax) / 3.0 - bx * (2.0 / 3.0), (dy - ay) / 3.0 - by * (2.0 / 3.0)
+        for j in range(COUNT):
+            u = NODES[j]
+            x, y = x0 + u * (ax + u * (bx + u * dx)), y0 + u * (ay + u * (by + u * dy))
+            vx, vy = ax + u * (2.0 * bx + u * (3.0 * dx)), ay + u * (2.0 * by + u * (3.0 * dy))
+            power[j] = -alpha * (math.sqrt(x * x + y * y) - shift)
+            speed[j] = math.sqrt(vx * vx + vy * vy) * WEIGHTS[j]
+        most = so_far[1]
+        for j in range(COUNT):
+            most = max(most, power[j])
+        if most > so_far[1]:
+            so_far[2] *= math.exp(so_far[1] - most)
+            so_far[1] = most
+        for j in range(COUNT):
+            power[j] -= most
+        exponentials(power, scale, bits)
+        for j in range(COUNT):
+            so_far[2] += power[j] * speed[j]
 
 
 @_kernel
@@ -157,7 +161,8 @@ def _rebuilt_rows(  # type: ignore[no-untyped-def]
     piece, left, right = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
     gain, order = np.empty(n), np.empty(n, np.int64)
     stack, levels = np.empty((_LEVELS + 4, 8)), np.empty(_LEVELS + 4, np.int64)
-    so_far = np.empty(3)
+    power, speed, scale, so_far = np.empty(COUNT), np.empty(COUNT), np.empty(COUNT), np.empty(3)
+    room = (stack, levels, power, speed, scale, scale.view(np.int64))
     for b in range(start, stop):
         c, k = coefficients[shape[b]], pieces[shape[b]]
         px, py, row = points[b, 0], points[b, 1], mixed(key, rows[b])
@@ -172,7 +177,7 @@ def _rebuilt_rows(  # type: ignore[no-untyped-def]
         shift = np.inf
         for i in range(n):
             shift = min(shift, math.sqrt(max(r[i, 0] * r[i, 0] + r[i, 1] * r[i, 1], _TINY)))
-        so_far[0], so_far[1], so_far[2] = shift, -np.inf, 0.0
+        so_far[0], so_far[1], so_far[2] = shift * shift, -np.inf, 0.0
         run, seen = 0, 0
         for g in range(n):
             i = order[g]
@@ -182,13 +187,13 @@ def _rebuilt_rows(  # type: ignore[no-untyped-def]
             low, high = piece[i] / k, (piece[i] + 1) / k
             run = 1 if first else run + 1
             if first and s[i] > low:
-                _add(_reach(s, r, t, i, order[g + 1] if after else -1, low), alpha, shift, so_far, stack, levels)
+                _add(_reach(s, r, t, i, order[g + 1] if after else -1, low), alpha, shift, so_far, room)
             if after:
-                _add(_through(s, r, t, i, order[g + 1]), alpha, shift, so_far, stack, levels)
+                _add(_through(s, r, t, i, order[g + 1]), alpha, shift, so_far, room)
             if last:
                 if s[i] < high:
                     before = not first and s[i] > s[order[g - 1]]
-                    _add(_reach(s, r, t, i, order[g - 1] if before else -1, high), alpha, shift, so_far, stack, levels)
+                    _add(_reach(s, r, t, i, order[g - 1] if before else -1, high), alpha, shift, so_far, room)
                 seen += run >= 2
         exponent[b], total[b], nearest[b], missing[b] = so_far[1], so_far[2], shift, seen < k
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from nqr_geom.curves.gauss import BEND, BENT, COUNT, LONGEST, NODES, STRAIGHT, WEIGHTS
 from nqr_geom.integrator.problem import Samples
-from nqr_geom.integrator.samplers import gauss_legendre
 
 __all__ = ["Segments", "child_errors", "log_integral", "reconstruct", "tangents", "winding"]
 
 _LEVELS = 60  # halvings after which a query is taken to lie on the segment
-SPREAD = 6.0  # largest exponent that varies over a segment
 UNSEEN = 36.0  # an exponent that far below the nearest is not seen in double precision
 _TINY = 1e-300
 _QUADRATIC = 1e-9  # a cubic term below this part of the linear one is rounding
@@ -273,11 +272,11 @@ def angle(y: Tensor, x: Tensor) -> Tensor:
 def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
     """Integral of exp(-alpha (|x| - shift)) dl over the rebuilt curves, as exp(exponent) times a sum.
 
-    Segments are halved until a Gauss rule is sure of them: the distance varies by less than 3 / alpha (the error of
-    eight points on exp(-w x) is 2e-23 w^16), or by more the less they count; they are no longer than half their
-    distance (closer by, |x| has a kink), and their speed turns and grows by less than half (at a cusp it has a kink,
-    too), unless too short to matter. What lies 45 / alpha farther than the nearest point so far cannot be seen in
-    float64 and is left out. The curve may come closer than every sample, so the largest exponent is kept apart.
+    Segments are halved until a Gauss rule is sure of them (`gauss`): the distance varies by less than 14 / alpha or, if
+    it bends, 3 / alpha, by more the less they count; they are no longer than four fifths of their distance (closer by,
+    |x| has a kink), and their velocity changes by no more than the least of it (at a cusp it has a kink, too), unless
+    too short to matter. What lies 36 / alpha farther than the nearest point so far cannot be seen in float64 and is
+    left out. The curve may come closer than every sample, so the largest exponent is kept apart.
 
     Parameters
     ----------
@@ -296,13 +295,15 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tens
     closest = shift  # of the points that have been seen, the new ends of segments included
     for level in range(_LEVELS):
         legs, nearest, farthest = _ranges(control)
+        turn, even = _turns(control)
         sharp = alpha[row]
         ends = torch.linalg.vector_norm(control[:, [0, 3]], dim=-1).amin(dim=1)
         closest = closest.scatter_reduce(0, row, ends, "amin")
         seen = sharp * (nearest - closest[row]) < UNSEEN
-        behind = (sharp * (nearest - shift[row])).clamp_min(0.0)
-        tame = sharp * (farthest - nearest) <= SPREAD * (1.0 + behind / 16.0)
-        sure = tame & (((2.0 * legs <= nearest) & _even(control)) | (sharp * legs <= 1e-5))
+        farther = 1.0 + (sharp * (nearest - shift[row])).clamp_min(0.0) / (2.0 * COUNT)
+        spread, bend = sharp * (farthest - nearest), sharp * (0.125 * legs / nearest.clamp_min(_TINY) + 0.75 * turn)
+        tame = (spread <= BENT * farther) | (spread + BEND * bend <= STRAIGHT * farther)
+        sure = (tame & even & (legs <= LONGEST * nearest**2)) | (legs <= (1e-5 / sharp) ** 2)
         done = seen & (sure | (level == _LEVELS - 1))
         powers, lengths = _gauss(control[done], sharp[done], shift[row[done]])
         largest = exponent.scatter_reduce(0, row[done], powers.amax(dim=1), "amax")
@@ -316,17 +317,18 @@ def log_integral(segments: Segments, alpha: Tensor, shift: Tensor) -> tuple[Tens
     return exponent, total
 
 
-def _even(control: Tensor) -> Tensor:
-    """Where legs of the control polygon differ by less than half of the shortest, (M,) bool."""
+def _turns(control: Tensor) -> tuple[Tensor, Tensor]:
+    """Largest difference of two neighbouring legs of the control polygon (M,), and where no two of its legs differ by
+    more than the shortest, (M,) bool."""
     leg = control.diff(dim=1)
-    shortest = leg.square().sum(dim=-1).amin(dim=1)
-    apart = torch.stack([leg[:, 1] - leg[:, 0], leg[:, 2] - leg[:, 1], leg[:, 2] - leg[:, 0]], dim=1)
-    return apart.square().sum(dim=-1).amax(dim=1) <= 0.25 * shortest
+    square = leg.diff(dim=1).square().sum(dim=-1).amax(dim=1)
+    apart = torch.maximum(square, (leg[:, 2] - leg[:, 0]).square().sum(dim=-1))
+    return square.sqrt(), apart <= leg.square().sum(dim=-1).amin(dim=1)
 
 
 def _ranges(control: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A bound of each segment's length, and bounds of its smallest and largest distance from the origin, (M,) each."""
-    legs = torch.linalg.vector_norm(control.diff(dim=1), dim=-1).sum(dim=-1)
+    """Bounds of each segment's squared length, and of its smallest and largest distance from the origin, (M,) each."""
+    legs = 3.0 * control.diff(dim=1).square().sum(dim=(1, 2))
     start, chord = control[:, 0], control[:, 3] - control[:, 0]
     along = -(start * chord).sum(dim=-1) / chord.square().sum(dim=-1).clamp_min(_TINY)
     foot = start + along.clamp(0.0, 1.0)[:, None] * chord
@@ -337,8 +339,8 @@ def _ranges(control: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _gauss(control: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
-    """Exponents and length elements (M, 8) of the eight-point Gauss-Legendre rule on each segment."""
-    nodes, weights = (torch.as_tensor(a, device=control.device) for a in gauss_legendre(8))
+    """Exponents and length elements (M, G) of the Gauss-Legendre rule on each segment."""
+    nodes, weights = (torch.as_tensor(a, device=control.device) for a in (NODES, WEIGHTS))
     u = 1.0 - nodes
     basis = torch.stack([u**3, 3.0 * nodes * u**2, 3.0 * nodes**2 * u, nodes**3], dim=1)
     slope = torch.stack([u**2, 2.0 * nodes * u, nodes**2], dim=1)

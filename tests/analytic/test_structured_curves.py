@@ -112,6 +112,15 @@ def test_smoothed_distance_of_quadratics(alpha: float) -> None:
     np.testing.assert_allclose(estimate, ng.sd(curve, points, alpha=alpha), atol=1e-6)
 
 
+@pytest.mark.parametrize("alpha", [35.0, 200.0, 1e3, 4e3])
+def test_sharp_distances_between_nearest_points_are_exact(alpha: float) -> None:
+    """Where several parts of a curve are nearest, each is a peak exp(-c s^2) inside a panel, not at its end."""
+    square = ng.Curve.polyline([[-1.0, -0.5], [1.0, -0.5], [1.0, 0.5], [-1.0, 0.5]], closed=True)
+    points = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 0.49], [0.1, 2.0], [0.7, -0.2]])
+    estimate = ng.sd(square, points, alpha=alpha, method="structured", n=32)
+    assert alpha * np.abs(estimate - ng.sd(square, points, alpha=alpha)).max() < 1e-12
+
+
 def test_log_integral_against_adaptive_quadrature() -> None:
     control = torch.tensor([[[0.3, -1.0], [0.1, 0.2], [-0.2, 0.1], [0.4, 1.0]]], dtype=torch.float64)
     segments = hermite.Segments(control, torch.tensor([0]), torch.zeros(1), torch.tensor([False]))

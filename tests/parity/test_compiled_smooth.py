@@ -40,7 +40,6 @@ def plain(problem: SdProblem) -> Plain:
 
 def test_constants_are_those_of_the_reference() -> None:
     assert compiled_smooth._LEVELS == hermite._LEVELS
-    assert compiled_smooth._SPREAD == hermite.SPREAD
     assert compiled_smooth._UNSEEN == hermite.UNSEEN
 
 
