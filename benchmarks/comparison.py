@@ -35,8 +35,8 @@ SEED = 0
 PLAIN: Pair = ("random", "mc")
 DESIGNS = ("random", "stratified")
 CLASSICAL = ("mc", "trapezoid", "regression-3", "regression-5")
-# Structure-aware rule, network on it, network on the uniform base.
-LEARNED = {"toy": ("toy-hermite", "inet-toy-structured", "inet-toy-uniform"),
+# Structure-aware rule, network on it, network on the uniform base, and one there that is told the first one's weights.
+LEARNED = {"toy": ("toy-hermite", "inet-toy-structured", "inet-toy-uniform", "inet-toy-told"),
            "gwn": ("gwn-hermite", "inet-gwn-structured", "inet-gwn-uniform")}  # fmt: skip
 # Pairs of the paper's form beside a pair on a structured sampler.
 UNIFORM_PAIRS = {"toy": ("toy-nqr-uniform",)}

@@ -20,6 +20,7 @@ COLOURS = {
     "inet-gwn-structured": "#0072B2",
     "inet-toy-uniform": "#D55E00",
     "inet-gwn-uniform": "#D55E00",
+    "inet-toy-told": "#CC79A7",
 }
 
 

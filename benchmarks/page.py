@@ -20,6 +20,7 @@ NAMES = {
     "inet-gwn-structured": "INet on it",
     "inet-toy-uniform": "INet, uniform base",
     "inet-gwn-uniform": "INet, uniform base",
+    "inet-toy-told": "INet, uniform base, told",
     "inet-gwn-student": "student of it",
     "inet-gwn-student-uniform": "student, uniform base",
     "inet-sd-uniform": "INet, uniform base",

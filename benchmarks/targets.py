@@ -111,6 +111,8 @@ _EQUAL_SAMPLES = (
            of("ratio", problem="toy", design="random", rule="inet-toy-structured")),
     target("toy, INet on random samples, uniform base", _least(25), "learned",
            of("ratio", problem="toy", design="random", rule="inet-toy-uniform")),
+    target("the same, told what the structured rule would have samples count", _least(25), "learned",
+           of("ratio", problem="toy", design="random", rule="inet-toy-told")),
     target("toy, INet on stratified samples", _least(70), "learned",
            of("ratio", problem="toy", design="stratified", rule="inet-toy-structured")),
     target("toy, SNet + INet", _least(4000), "learned",

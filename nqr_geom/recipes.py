@@ -29,8 +29,9 @@ from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
 from nqr_geom.render.training import transmittance_batch
 from nqr_geom.toy.gaps import ToyGaps
-from nqr_geom.toy.law_tokens import LAW_TOKENS, TOLD_TOKENS, missed
+from nqr_geom.toy.law_tokens import LAW_TOKENS, missed
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_batch
+from nqr_geom.toy.told_tokens import TOLD_TOKENS, missed_by_weights
 from nqr_geom.wos.steps import LaplaceWalks
 from nqr_geom.wos.tokens import WALK_TOKENS
 from nqr_geom.wos.training import laplace_batch
@@ -92,12 +93,22 @@ RECIPES: dict[str, Recipe] = {
             problem="toy",
             family=toy_batch,
             base="uniform",
-            consistent="toy-hermite",
-            # Without unit mass: what the rule would have samples count does not leave the mean weight at one.
-            config=INetConfig(replace(_LAWS, extra=TOLD_TOKENS.size, unit=None), layers=0, width=256),
+            consistent="trapezoid",
+            # Without unit mass: what is right for the parts of samples does not leave the mean weight at one.
+            config=INetConfig(
+                replace(_LAWS, extra=TOLD_TOKENS.size, unit=None),
+                layers=0,
+                width=256,
+                weights="additive",
+                direct=True,
+            ),
             sees=("derivative", "piece"),
             extra=TOLD_TOKENS,
-            sizes=_SIZES,
+            sizes=((32, 0.8), (16, 0.1), (64, 0.1)),
+            designs=("random", "random", "stratified"),
+            huber=10.0,
+            unit=1e-2,
+            missed=missed_by_weights,
         ),
         Recipe(
             name="toy-structured",

@@ -73,6 +73,7 @@ _RECIPES = "nqr_geom.recipes:"
 _MODELS = (
     ("toy-uniform", "toy", "network that corrects plain weights on piecewise smooth functions"),
     ("toy-structured", "toy", "small network that shifts what toy-hermite leaves open"),
+    ("toy-told", "toy", "small network that corrects plain weights and is told those of toy-hermite"),
     ("gwn-uniform", "gwn", "network that corrects plain weights on curves"),
     ("gwn-structured", "gwn", "network that guesses what gwn-hermite has not seen"),
     ("gwn-student", "gwn", "small network for what gwn-hermite has not seen, compiled with it"),

@@ -5,23 +5,21 @@ A token stands for one sample and for the gap to its right; the first one also a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
 from nqr_geom.integrator.learn.recipe import Batch
-from nqr_geom.integrator.learn.tokens import Extra, standard
+from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean, row_sum
-from nqr_geom.toy.family import PIECES, Shape
+from nqr_geom.toy.family import PIECES, Pieces, Shape
 from nqr_geom.toy.law import Law, propagate
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.structured import GapIntegrals, ToyHermite
-from nqr_geom.toy.tokens import CENTRED, TOY_TOKENS, toy_checked, toy_doubt, toy_tokens
+from nqr_geom.toy.tokens import TOY_TOKENS, toy_checked, toy_doubt, toy_tokens
 
-__all__ = ["LAW_TOKENS", "TOLD_TOKENS", "missed"]
+__all__ = ["LAW_TOKENS", "law_tokens", "missed", "moved", "pieces_of"]
 
 _REACH = 0.04  # a usual gap: slopes and curvatures count over this distance
 _NODES = 8  # places of a break, from one end of a gap to the other
@@ -29,7 +27,6 @@ _OWN = 14  # quantities of a sample
 _BESIDE = _OWN + 6
 _ROW = 6
 _LARGEST = 1e6  # of a continued law, in jumps
-_MOST = 16.0  # that a sample is told to count more, in the row's unit
 _SLOWEST = (0.5 * Shape().frequency[0]) ** 2  # alpha of a wave: below, rounding bends a parabola
 _SIZE = TOY_TOKENS.size + _OWN + 4 * _BESIDE + 3 * _NODES + 3 + _ROW
 
@@ -81,7 +78,7 @@ def _seen(samples: Samples) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return samples.x[..., 0], samples.value[..., 0, 0], d, piece
 
 
-def _moved(part: Tensor, by: int) -> Tensor:
+def moved(part: Tensor, by: int) -> Tensor:
     """What lies `by` samples farther on (B, N, ...), zeros beyond the ends."""
     tail = (0, 0) * (part.ndim - 2)
     return pad(part, (*tail, 0, by))[:, by:] if by > 0 else pad(part, (*tail, -by, 0))[:, :by]
@@ -89,13 +86,13 @@ def _moved(part: Tensor, by: int) -> Tensor:
 
 def _beside(own: Tensor, x: Tensor, piece: Tensor, by: int) -> Tensor:
     """The sample `by` places farther on, (B, N, _BESIDE); beyond the ends of the row, the end of [0, 1]."""
-    there = _moved(torch.ones_like(x), by)
+    there = moved(torch.ones_like(x), by)
     end = float(by > 0)
-    far = torch.where(there > 0.0, _moved(x, by), end)
-    hop = (torch.where(there > 0.0, _moved(piece, by), (PIECES - 1) * int(by > 0)) - piece).abs()
+    far = torch.where(there > 0.0, moved(x, by), end)
+    hop = (torch.where(there > 0.0, moved(piece, by), (PIECES - 1) * int(by > 0)) - piece).abs()
     away = (far - x).abs()
     parts = [there, 10.0 * away, away.clamp_min(1e-6).log() / 4.0, hop == 0, hop == 1, hop]
-    return torch.cat([_moved(own, by), torch.stack([part.double() for part in parts], dim=-1)], dim=-1)
+    return torch.cat([moved(own, by), torch.stack([part.double() for part in parts], dim=-1)], dim=-1)
 
 
 def _across(samples: Samples, law: Law) -> Tensor:
@@ -103,15 +100,15 @@ def _across(samples: Samples, law: Law) -> Tensor:
     high the right one stands if it is a wave, of its own height."""
     x, v, d, _ = _seen(samples)
     u = torch.linspace(0.0, 1.0, _NODES, dtype=x.dtype, device=x.device)
-    there = _moved(torch.ones_like(x), 1)[..., None]
-    step = (torch.where(there[..., 0] > 0.0, _moved(x, 1), 1.0) - x)[..., None]
+    there = moved(torch.ones_like(x), 1)[..., None]
+    step = (torch.where(there[..., 0] > 0.0, moved(x, 1), 1.0) - x)[..., None]
     laws = *(torch.where(law.known, part, 0.0) for part in (law.alpha, law.curvature)), v, d, *_waves(v, d, law)
 
     def side(t: Tensor, alpha: Tensor, curvature: Tensor, value: Tensor, slope: Tensor) -> Tensor:
         alpha, curvature, value, slope = (part[..., None] for part in (alpha, curvature, value, slope))
         return propagate(alpha, t, value, slope, curvature)[0]
 
-    beyond = [_moved(part, 1) for part in laws]
+    beyond = [moved(part, 1) for part in laws]
     left, right = side(u * step, *laws[:4]), side((u - 1.0) * step, *beyond[:4])
     _, _, value, _, wave, above, height = (part[..., None] for part in beyond)
     high = torch.where(wave, (right - value - above) / height.clamp_min(1e-12), 0.0)
@@ -163,34 +160,23 @@ def law_tokens(samples: Samples, gaps: GapIntegrals | None = None) -> Tensor:
     return torch.cat([toy_tokens(samples)[:, :, 0], torch.cat(parts, dim=-1).float()], dim=-1)[:, :, None]
 
 
-def told_tokens(samples: Samples) -> Tensor:
-    """`law_tokens`, and by how much the sample would have to count more for the rule's answer, (B, N, 1, size) float32.
-
-    A sample stands for half of the gaps to both sides, and for all beyond the outermost. The last quantity but one is
-    in the row's unit, the last one compressed.
-    """
-    gaps = ToyHermite().gaps(samples)
-    first, inner, last = gaps.integral.split([1, samples.n - 1, 1], dim=1)
-    left, right = torch.cat([first, 0.5 * inner], dim=1), torch.cat([0.5 * inner, last], dim=1)
-    _, unit = standard(samples.value, CENTRED)
-    more = (samples.n * (left + right) - samples.value[:, :, 0, 0]) / unit[:, :, 0, 0]
-    parts = torch.stack([more.clamp(-_MOST, _MOST), more.asinh()], dim=-1)[:, :, None]
-    return torch.cat([law_tokens(samples, gaps), parts.float()], dim=-1)
-
-
 def _checked(samples: Samples) -> Tensor:
     """What tells whether data resemble the family, (B, N, 1, 2) float32: slopes, and the spread of values."""
     slope = toy_checked(samples)
     return torch.cat([slope, _spread(samples.value[..., 0, 0]).float()[..., None, None].expand_as(slope)], dim=-1)
 
 
+def pieces_of(batch: Batch) -> Pieces:
+    """The integrands of a batch."""
+    if not isinstance(batch.problem, ToyProblem):
+        raise TypeError(f"batch: expected integrals of ToyProblem, got {type(batch.problem).__name__}")
+    return batch.problem.pieces
+
+
 def missed(batch: Batch, samples: Samples) -> Tensor:
     """What `ToyHermite` misses of the gaps that each of the sorted samples answers for, (B, N) float64."""
-    problem = batch.problem
-    if not isinstance(problem, ToyProblem):
-        raise TypeError(f"batch: expected integrals of ToyProblem, got {type(problem).__name__}")
     gaps = ToyHermite().gaps(samples)
-    off = problem.pieces.antiderivative(gaps.edges).diff(dim=1) - gaps.integral
+    off = pieces_of(batch).antiderivative(gaps.edges).diff(dim=1) - gaps.integral
     return torch.cat([off[:, :1] + off[:, 1:2], off[:, 2:]], dim=1)
 
 
@@ -202,4 +188,3 @@ LAW_TOKENS = Extra(
     foreign=TOY_TOKENS.foreign,
     doubt=toy_doubt,
 )
-TOLD_TOKENS = replace(LAW_TOKENS, size=_SIZE + 2, compute=told_tokens)

@@ -18,15 +18,14 @@ from nqr_geom.integrator.learn import joint
 from nqr_geom.integrator.learn.inet import INet, LearnedRule, doubt
 from nqr_geom.integrator.learn.joint import JointConfig, train_jointly
 from nqr_geom.integrator.learn.recipe import Batch, draw_samples
-from nqr_geom.integrator.learn.tokens import sort_samples, standard, tokenize
+from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
 from nqr_geom.integrator.learn.train import draw_batch, fitting_precision, loss, piecewise
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.recipes import JOINT, RECIPES
 from nqr_geom.streams import Stream
-from nqr_geom.toy.law_tokens import LAW_TOKENS, TOLD_TOKENS, missed
+from nqr_geom.toy.law_tokens import LAW_TOKENS, missed
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.structured import ToyHermite
-from nqr_geom.toy.tokens import CENTRED
 
 RECIPE = RECIPES["toy-structured"]
 
@@ -87,20 +86,6 @@ def test_tokens_are_finite_and_moderate(n: int) -> None:
     assert tokens.dtype == torch.float32
     assert tokens.isfinite().all()
     assert tokens.abs().max() < 80.0
-
-
-@pytest.mark.parametrize("n", [1, 2, 32])
-def test_what_is_told_adds_up_to_the_rules_answer(n: int) -> None:
-    samples = drawn(64, n)[1]
-    tokens = TOLD_TOKENS.compute(samples)
-    assert tokens.shape == (64, n, 1, TOLD_TOKENS.size)
-    more, small = tokens[:, :, 0, -2].double(), tokens[:, :, 0, -1].double()
-    inside = (more.abs() < 16.0).all(dim=1)
-    assert inside.double().mean() > 0.9 or n == 1
-    unit = standard(samples.value, CENTRED)[1][:, 0, 0]
-    told = samples.value[:, :, 0, 0].mean(dim=1, keepdim=True) + unit * more.mean(dim=1, keepdim=True)
-    assert_allclose(told[inside], ToyHermite().combine(samples).estimate(samples)[inside], rtol=1e-5)
-    assert_allclose(small[inside], more[inside].asinh(), atol=1e-5)
 
 
 def test_tokens_do_not_see_an_added_constant() -> None:

@@ -61,6 +61,8 @@ class INetConfig:
     positive : bool
         The integrals are known not to be negative: where the corrected estimate is not positive, a model answers with
         its base, and says so unless the base has seen nothing either. In training the clamp of Eq. 56 takes care of it.
+    direct : bool
+        The heads read the tokens themselves, too: what a token already tells, two layers need not copy.
     """
 
     tokens: TokenConfig = field(default_factory=TokenConfig)
@@ -77,6 +79,7 @@ class INetConfig:
     in_doubt: bool = False
     gated: bool = False
     positive: bool = False
+    direct: bool = False
 
     @property
     def skips(self) -> bool:
@@ -139,7 +142,7 @@ class INet(nn.Module):
         self.embed_in, self.embed_out = nn.Linear(config.tokens.width, 2 * width), nn.Linear(2 * width, width)
         self.blocks = nn.ModuleList(Block(width, config.heads, config.expansion) for _ in range(config.layers))
         self.norm = nn.LayerNorm(width) if config.layers else nn.ReLU()
-        self.head = nn.Linear(width, config.outputs)
+        self.head = nn.Linear(width + config.direct * config.tokens.width, config.outputs)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
 
@@ -151,7 +154,8 @@ class INet(nn.Module):
             bias = torch.zeros_like(padding, dtype=x.dtype).masked_fill(padding, -torch.inf)[:, None, None]
         for block in self.blocks:
             x = block(x, bias)  # (B, L, E)
-        raw = self.head(self.norm(x))
+        x = self.norm(x)
+        raw = self.head(torch.cat([x, tokens], dim=-1) if self.config.direct else x)
         return raw if raw.dtype == torch.float64 else raw.float()  # (B, L, outputs)
 
 

@@ -30,6 +30,7 @@ from nqr_geom.streams import Stream
 
 __all__ = ["TrainConfig", "draw_batch", "learning_rate", "loss", "residuals", "robust", "train"]
 
+_OTHERS = 8  # parts without doubt, of which one is looked at
 _SMALLEST = 1e-9  # error that counts as one: below, rounding would be learned
 
 
@@ -161,18 +162,25 @@ def piecewise(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, sam
     """Mean (robust) squared error of what the network says of every sample's own part, in units of its doubt.
 
     A part counts by its doubt over that of its whole row. By the square of it, those that leave most would be all there
-    is; by none, those that leave nothing.
+    is; by none, those that leave nothing. A network that changes weights has to be right where nothing is in doubt,
+    too: the recipe's unit is added to every doubt, and one in `_OTHERS` of these parts is looked at, for all of them.
     """
     if recipe.missed is None:
         raise ValueError(f"recipe: expected one that tells what its base rule misses, got {recipe.name!r}")
-    left = doubt(samples, recipe.extra) / samples.n  # (B, N)
-    row, at = (left > 0.0).nonzero(as_tuple=True)
-    size = left[row, at]
-    weight = size / left.square().sum(dim=1).sqrt()[row]
+    size = doubt(samples, recipe.extra) / samples.n  # (B, N)
+    chosen, counts, effect = size > 0.0, torch.ones_like(size), torch.ones_like(size)
+    if not recipe.config.in_doubt:
+        counts = torch.where(chosen, 1.0, float(_OTHERS))
+        row, at = (torch.arange(many, device=size.device) for many in size.shape)
+        chosen = chosen | ((row[:, None] + at) % _OTHERS == 0)
+        size = torch.hypot(size, size.new_tensor(recipe.unit))
+        effect = samples.value[..., 0, 0] / (samples.n * size)
+    weight = counts * size / size.square().sum(dim=1, keepdim=True).sqrt()
     if batch.weight is not None:
-        weight = weight * batch.weight[row]
-    tokens = tokenize(samples, recipe.config.tokens, recipe.extra)[row, at]  # (M, 1, width)
-    said, wanted = net(tokens)[:, 0, 0], recipe.missed(batch, samples)[row, at] / size
+        weight = weight * batch.weight[:, None]
+    tokens = tokenize(samples, recipe.config.tokens, recipe.extra)[chosen]  # (M, 1, width)
+    said, wanted = net(tokens)[:, 0, 0] * effect[chosen], (recipe.missed(batch, samples) / size)[chosen]
+    weight = weight[chosen]
     return (weight * _huber(said - wanted, recipe.huber)).sum() / weight.sum().clamp_min(_SMALLEST)
 
 
