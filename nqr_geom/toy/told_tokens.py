@@ -15,6 +15,7 @@ from torch.nn.functional import pad
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean, row_sum
+from nqr_geom.toy.family import Shape
 from nqr_geom.toy.law_tokens import LAW_TOKENS, law_tokens, moved, pieces_of
 from nqr_geom.toy.structured import ToyHermite
 from nqr_geom.toy.tokens import toy_doubt
@@ -24,6 +25,7 @@ __all__ = ["TOLD_TOKENS", "missed_by_weights", "weights_of"]
 _MOST = 16.0  # that a sample is told to count more
 _SMALL = 0.01  # squared values, of the row's mean square, that count as near zero
 _NONE = 1e-300
+_SHAPE = Shape()
 
 
 def weights_of(samples: Samples, edges: Tensor, integral: Tensor) -> Tensor:
@@ -69,6 +71,16 @@ def _doubt(samples: Samples) -> Tensor:
     return torch.empty_like(both).scatter(1, order, both)
 
 
+def _foreign(samples: Samples) -> Tensor:
+    """Integrands, (B,) bool, that do not vary as the family does, or at a level where none of it lies.
+
+    Networks see values from the level of their row. An additive term may not care, but weights apply to all of a value.
+    """
+    off = (row_mean(samples.value[:, :, 0, 0]) - _SHAPE.level).abs()
+    elsewhere = off > _SHAPE.level_spread + _SHAPE.band + _SHAPE.amplitude[1]
+    return elsewhere if LAW_TOKENS.foreign is None else elsewhere | LAW_TOKENS.foreign(samples)
+
+
 def missed_by_weights(batch: Batch, samples: Samples) -> Tensor:
     """What plain weights miss of the part that each of the sorted samples should have of the integral, (B, N)."""
     edges = pad(pad(samples.x[..., 0], (1, 0)), (0, 1), value=1.0)
@@ -76,4 +88,4 @@ def missed_by_weights(batch: Batch, samples: Samples) -> Tensor:
     return (weights - 1.0) * samples.value[:, :, 0, 0] / samples.n
 
 
-TOLD_TOKENS = replace(LAW_TOKENS, size=LAW_TOKENS.size + 2, compute=_told, doubt=_doubt)
+TOLD_TOKENS = replace(LAW_TOKENS, size=LAW_TOKENS.size + 2, compute=_told, foreign=_foreign, doubt=_doubt)

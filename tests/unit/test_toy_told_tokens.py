@@ -130,6 +130,15 @@ def test_doubt_is_told_in_any_order() -> None:
     assert_allclose(doubt(samples.permuted(order), TOLD_TOKENS), doubt(samples, TOLD_TOKENS).gather(1, order))
 
 
+@pytest.mark.parametrize("level", [-3.0, 3.0, 1e6, -1e30])
+def test_other_levels_are_foreign(level: float) -> None:
+    """Weights that do not add up to one are right for the level that they were learned at."""
+    samples = drawn(2000)[1]
+    assert TOLD_TOKENS.foreign is not None
+    assert TOLD_TOKENS.foreign(samples).double().mean() < 1e-3
+    assert TOLD_TOKENS.foreign(moved_by(samples, level)).double().mean() > 0.9
+
+
 def test_reading_the_tokens_a_head_can_copy_what_is_told() -> None:
     """One weight of one of the head's inputs makes the network the structured rule."""
     samples = drawn(64)[1]
