@@ -77,6 +77,9 @@ def test_only_integrals_with_a_known_answer_beside_each_sample_teach() -> None:
         missed(replace(batch, problem=type("OneOf", (), {})()), samples)
     with pytest.raises(ValueError, match="recipe: expected one that tells what its base rule misses, got 'x'"):
         piecewise(replace(RECIPE, name="x", missed=None), INet(RECIPE.config), batch, samples)
+    deep = replace(RECIPE, config=replace(RECIPE.config, layers=2))
+    with pytest.raises(ValueError, match="recipe: expected a network that reads every token alone, got 2 layers"):
+        piecewise(deep, INet(deep.config), batch, samples)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 32, 200])

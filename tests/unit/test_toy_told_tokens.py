@@ -25,6 +25,10 @@ def drawn(rows: int = 64, n: int = 32, design: str = "random") -> tuple[Batch, S
     return draw_batch(replace(RECIPE, designs=(design,)), torch.arange(rows), n, 3, "validation")
 
 
+def edges_of(samples: Samples) -> Tensor:
+    return pad(pad(samples.x[..., 0], (1, 0)), (0, 1), value=1.0)
+
+
 def told_weights(samples: Samples) -> Tensor:
     gaps = ToyHermite().gaps(samples)
     return weights_of(samples, gaps.edges, gaps.integral)
@@ -48,17 +52,16 @@ def test_a_gap_that_the_trapezoid_integrates_keeps_its_weights() -> None:
     """Linear integrands between samples, constant ones beyond: nothing is to be changed."""
     samples = drawn(16)[1]
     x, value = samples.x[..., 0], samples.value[..., 0, 0]
-    edges = pad(pad(x, (1, 0)), (0, 1), value=1.0)
+    edges = edges_of(samples)
     ends = torch.cat([value[:, :1], value, value[:, -1:]], dim=1)
     weights = weights_of(samples, edges, 0.5 * (ends[:, :-1] + ends[:, 1:]) * edges.diff(dim=1))
-    reach = 0.5 * torch.cat([edges[:, 1:2] + x[:, :1], x[:, 2:] - x[:, :-2], 2.0 - x[:, -2:-1] - x[:, -1:]], dim=1)
-    reach[:, 0] = 0.5 * (x[:, 0] + x[:, 1])
+    reach = 0.5 * torch.cat([x[:, :1] + x[:, 1:2], x[:, 2:] - x[:, :-2], 2.0 - x[:, -2:-1] - x[:, -1:]], dim=1)
     assert_allclose(weights, 32 * reach, atol=1e-12)
 
 
 def test_no_other_weights_of_the_two_ends_are_nearer_to_the_trapezoids() -> None:
     samples = drawn(16, 2)[1]
-    edges = pad(pad(samples.x[..., 0], (1, 0)), (0, 1), value=1.0)
+    edges = edges_of(samples)
     value = samples.value[..., 0, 0]
     width = edges.diff(dim=1)
     trapezoid = 2.0 * torch.stack([width[:, 0] + 0.5 * width[:, 1], 0.5 * width[:, 1] + width[:, 2]], dim=1)
@@ -76,7 +79,7 @@ def test_weights_stay_moderate_where_values_vanish(least: float) -> None:
     value = samples.value.clone()
     value[:, 10:12] = least
     dented = replace(samples, seen=replace(samples.seen, value=value))
-    edges = pad(pad(samples.x[..., 0], (1, 0)), (0, 1), value=1.0)
+    edges = edges_of(samples)
     integral = torch.full((64, 33), 0.03, dtype=torch.float64)
     weights = weights_of(dented, edges, integral)
     assert weights.isfinite().all()
@@ -87,7 +90,7 @@ def test_weights_stay_moderate_where_values_vanish(least: float) -> None:
 def test_rows_of_zeros_keep_the_trapezoid() -> None:
     samples = drawn(8)[1]
     nothing = moved_by(samples, -samples.value)
-    edges = pad(pad(samples.x[..., 0], (1, 0)), (0, 1), value=1.0)
+    edges = edges_of(samples)
     weights = weights_of(nothing, edges, torch.ones(8, 33, dtype=torch.float64))
     assert_allclose(weights.mean(dim=1), torch.ones(8, dtype=torch.float64), rtol=1e-12)
 

@@ -81,7 +81,7 @@ class Recipe:
         Errors beyond it count linearly instead of squared, so that one near singularity does not drown a batch.
     unit : float
         Size of an error, in which errors and `huber` count, where the base rule tells none: an optimiser does not tell
-        gradients far below 1e-8 from nothing.
+        gradients far below 1e-8 from nothing. Lessons by parts (`missed`) on weights add it to what is in doubt.
     inner, outer : float
         Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
     missed : callable, optional

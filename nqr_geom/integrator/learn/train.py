@@ -167,6 +167,8 @@ def piecewise(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, sam
     """
     if recipe.missed is None:
         raise ValueError(f"recipe: expected one that tells what its base rule misses, got {recipe.name!r}")
+    if recipe.config.layers:
+        raise ValueError(f"recipe: expected a network that reads every token alone, got {recipe.config.layers} layers")
     size = doubt(samples, recipe.extra) / samples.n  # (B, N)
     chosen, counts, effect = size > 0.0, torch.ones_like(size), torch.ones_like(size)
     if not recipe.config.in_doubt:
