@@ -49,7 +49,16 @@ def exact_sd(rows: list[Row]) -> str:
         return f"{short(row[f'us_{key}'])} ({row[f'error_{key}']:.0e})" if f"us_{key}" in row else ""
 
     return markdown(
-        ["curve, us a query (error)", "alpha", "exact", "gradient", "structured, 32", "fixed rule", "Monte Carlo, 32"],
+        [
+            "curve, us a query (error)",
+            "alpha",
+            "exact",
+            "gradient",
+            "structured, 32",
+            "fixed rule",
+            "Monte Carlo, 32",
+            "exact, x it",
+        ],
         [
             [
                 row["case"],
@@ -57,6 +66,7 @@ def exact_sd(rows: list[Row]) -> str:
                 short(row["us_exact"]),
                 short(row["us_gradient"]),
                 *(cell(row, key) for key in ("structured", "fixed", "mc")),
+                short(row["times_mc"]),
             ]
             for row in rows
         ],
