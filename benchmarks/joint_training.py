@@ -58,12 +58,16 @@ def trained(name: str, config: JointConfig, keep: Path) -> list[tuple[int, float
     return curve(folder)
 
 
-def draw(curves: dict[str, list[tuple[int, float]]], monte_carlo: float, path: Path) -> None:
+def draw(
+    curves: dict[str, list[tuple[int, float]]],
+    monte_carlo: float,
+    path: Path,
+    xlabel: str = "iteration of joint training",
+    ylabel: str = "Monte Carlo's error over the pair's",
+) -> None:
     """Error against iteration, one line a variant."""
     made = figure(7.0, 4.4)
-    axes = made.add_subplot(
-        xlabel="iteration of joint training", ylabel="Monte Carlo's error over the pair's", yscale="log"
-    )
+    axes = made.add_subplot(xlabel=xlabel, ylabel=ylabel, yscale="log")
     for colour, (name, points) in zip(SEVERAL, curves.items(), strict=False):
         at, mse = np.array(points).T
         axes.plot(at, monte_carlo / mse, color=colour, label=name, linestyle="--" if "frozen" in name else "-")

@@ -121,6 +121,17 @@ def toy_ablation(rows: list[Row]) -> str:
     return _pictures([("toy-ablation.png", "weights against values, with and without information")]) + table
 
 
+def learning_speed(rows: list[Row]) -> str:
+    """toy-uniform without one thing at a time, and when the whole was as good."""
+    lines = [
+        [row["variant"], short(row["mse"]), short(row["ratio"]), short(row["as_good_at"]) if row["as_good_at"] else ""]
+        for row in rows
+    ]
+    picture = _pictures([("learning-speed.png", "error against iterations of training")])
+    head = ["the network", "mean squared error at the end", "x Monte Carlo", "iterations until the whole was as good"]
+    return picture + markdown(head, lines)
+
+
 def joint_training(rows: list[Row]) -> str:
     """Begun from nothing or on a base sampler, by gaps or by a grid; frozen samplers show the integrator's own part."""
     return _pictures([("joint-training.png", "error against iterations of joint training")]) + _trainings(rows)

@@ -259,6 +259,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("toy_tables", "Tables 1, 2, 7 and 9: the toy family, 32 samples", layouts.toy_tables),
     ("toy_inputs", "Table 8: what the network on the uniform base does with one input randomised", layouts.toy_inputs),
     ("toy_ablation", "Figs. 8 and 10: weights or values, and x and f alone", layouts.toy_ablation),
+    ("learning_speed", "What makes the network on plain weights learn", layouts.learning_speed),
     ("toy_convergence", "Figs. 9 and 15: from 1 to 64 samples", layouts.toy_convergence),
     ("toy_strategy", "Fig. 16: where adaptive samples go", layouts.toy_strategy),
     (

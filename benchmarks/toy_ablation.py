@@ -2,12 +2,12 @@
 
     python benchmarks/toy_ablation.py [--quick] [--keep FOLDER]
 
-Networks of one size see the same integrals in the same order, 32 random samples each, for a short time: 2,500
+Transformers of one size see the same integrals in the same order, 32 random samples each, for a short time: 2,500
 iterations of 256 (the plain ones 1,000), well under a percent of the paper's 800,000, so the curves matter, not where
 they end. Weights and values are compared twice:
 
-- as it ships: f counts from its row's mean in the row's unit. Weights W = e^g + h of mean 1, against values: the row's
-  mean plus the mean of what the network predicts;
+- as in all of our networks: f counts from its row's mean in the row's unit. Weights W = e^g + h of mean 1, against
+  values: the row's mean plus the mean of what the network predicts;
 - "plain", the paper's: W = 1 + h and no more, against the mean of predicted values, both from f as it is.
 
 Without information, derivative and piece index are zero for every sample, in training and in the test.
@@ -44,13 +44,14 @@ from nqr_geom.integrator.sums import row_mean
 from nqr_geom.recipes import RECIPES
 from nqr_geom.streams import Stream
 from nqr_geom.toy.problem import ToyProblem
+from nqr_geom.toy.tokens import TOY_TOKENS
 
 N = 32
 SEED = 0
-RECIPE = replace(RECIPES["toy-uniform"], designs=("random",), sizes=((N, 1.0),))
+_ROW = INetConfig(replace(RECIPES["toy-uniform"].config.tokens, extra=TOY_TOKENS.size), unit_mass=True)
+RECIPE = replace(RECIPES["toy-uniform"], designs=("random",), sizes=((N, 1.0),), config=_ROW, extra=TOY_TOKENS)
 TRAINING = TrainConfig(iterations=2500, batch=256, warmup=250, decay=500, every=125, validation=4096, seed=SEED)
 SHORTER = replace(TRAINING, iterations=1000, decay=200)
-_ROW = RECIPE.config
 _PLAIN = replace(_ROW, tokens=replace(_ROW.tokens, unit=1.0, centred=False), weights="additive", unit_mass=False)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -22,6 +22,7 @@ def train(
     decay: Annotated[int, Parameter(help="Last iterations, in which the learning rate falls to 0.")] = 0,
     batch: Annotated[int | None, Parameter(help="Integrals an iteration: 256, or 32 for a pair.")] = None,
     rate: Annotated[float | None, Parameter(help="Highest learning rate: 2e-3, or 5e-4 for a pair.")] = None,
+    optimizer: Annotated[Literal["adamw", "muon"], Parameter(help="muon: for networks with attention.")] = "adamw",
     seed: Annotated[int, Parameter(help="Of weights and data.")] = 0,
     start_from: Annotated[
         Path | None,
@@ -41,7 +42,7 @@ def train(
     from nqr_geom.recipes import named
 
     recipe = named(name)
-    options: dict[str, Any] = {"iterations": iterations, "decay": decay, "seed": seed}
+    options: dict[str, Any] = {"iterations": iterations, "decay": decay, "optimizer": optimizer, "seed": seed}
     options |= {key: value for key, value in (("batch", batch), ("rate", rate)) if value is not None}
     where: dict[str, Any] = {"accelerator": accelerator, "devices": devices, "num_nodes": num_nodes}
     if isinstance(recipe, JointRecipe):
@@ -50,5 +51,9 @@ def train(
         train_one(recipe, out, TrainConfig(**options), start_from=start_from, **where)
     out_console.print(f"wrote {out}", highlight=False)
     if publish is not None:
-        card = make_model(recipe, out, publish, command=f"nqr-geom train {recipe.name} --iterations {iterations}")
+        usual = {"decay": 0, "batch": None, "rate": None, "optimizer": "adamw", "seed": 0}
+        told = {"decay": decay, "batch": batch, "rate": rate, "optimizer": optimizer, "seed": seed}
+        words = [f" --{key} {value}" for key, value in told.items() if value != usual[key]]
+        command = f"nqr-geom train {recipe.name} --iterations {iterations}{''.join(words)}"
+        card = make_model(recipe, out, publish, command=command)
         out_console.print(f"wrote {publish / card.name}.safetensors", highlight=False)

@@ -6,18 +6,21 @@ Values are measured from the row's mean in the row's unit, so neither an added c
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from nqr_geom.integrator.learn.recipe import Batch
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, flat, sort_samples, standard
 from nqr_geom.integrator.problem import Samples
+from nqr_geom.integrator.rules import interval_weights
 from nqr_geom.toy.family import Shape
 from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.split import Gap, Seen
 
-__all__ = ["CENTRED", "TOY_TOKENS", "toy_batch", "toy_checked", "toy_doubt", "toy_tokens"]
+__all__ = ["CENTRED", "TOY_TERMS", "TOY_TOKENS", "toy_batch", "toy_checked", "toy_doubt", "toy_terms", "toy_tokens"]
 
 _LEVEL = 1e-12  # an added constant is not seen: what varies by more than rounding varies
 _ACROSS = 0.98  # of all variation
@@ -56,8 +59,8 @@ def toy_tokens(samples: Samples) -> Tensor:
     v = (value / unit)[:, :, 0, 0].float()
     d = _slopes(samples)
     piece = samples.feature("piece", "inet")[:, :, 0, 0]
-    step = torch.nn.functional.pad(x.diff(dim=1), (1, 1)).float()
-    same = torch.nn.functional.pad(piece.diff(dim=1) == 0, (1, 1))
+    step = pad(x.diff(dim=1), (1, 1)).float()
+    same = pad(piece.diff(dim=1) == 0, (1, 1))
     reach = torch.cat([x[:, :1], 0.5 * x.diff(dim=1), 1.0 - x[:, -1:]], dim=1)
     share = samples.n * (reach[:, :-1] + reach[:, 1:])
     parts = [
@@ -68,6 +71,25 @@ def toy_tokens(samples: Samples) -> Tensor:
     ]
     parts[2:] = [part.asinh() for part in parts[2:]]
     return torch.stack(parts, dim=-1)[:, :, None]
+
+
+def toy_terms(samples: Samples) -> Tensor:
+    """`toy_tokens`, and how far the Taylor terms of either side go over both gaps beside each sample, (B, N, 1, 21).
+
+    A break hides between samples of different pieces: what lies there follows from the slopes and the curvatures on
+    either side, and curvatures are divided differences of slopes within a piece.
+    """
+    x, d = samples.x[..., 0], _slopes(samples).double()
+    value, unit = standard(samples.value, CENTRED)
+    gaps = pad(pad(x, (1, 0)), (0, 1), value=1.0).diff(dim=1)
+    left, right = gaps[:, :-1], gaps[:, 1:]
+    same = samples.feature("piece", "inet")[:, :, 0, 0].diff(dim=1) == 0
+    bend = torch.where(same, d.diff(dim=1) / gaps[:, 1:-1].clamp_min(1e-12), 0.0)
+    before, after = pad(bend, (1, 0)), pad(bend, (0, 1))
+    terms = [d * left, d * right, before * right.square(), after * left.square(), (after - before) * left * right]
+    own = [interval_weights(x) - 1.0, (value / unit)[:, :, 0, 0]]
+    parts = torch.stack([*own, *(term.asinh() for term in terms)], dim=-1)[:, :, None]
+    return torch.cat([toy_tokens(samples), parts.float()], dim=-1)
 
 
 def _unlike(samples: Samples) -> Tensor:
@@ -102,6 +124,7 @@ def toy_doubt(samples: Samples) -> Tensor:
 
 
 TOY_TOKENS = Extra(14, toy_tokens, checked=(1,), check=toy_checked, foreign=_unlike, doubt=toy_doubt)
+TOY_TERMS = replace(TOY_TOKENS, size=21, compute=toy_terms)
 
 
 def toy_batch(rows: Tensor, seed: int, split: str) -> Batch:

@@ -166,13 +166,32 @@ def test_the_network_always_sees_tiles_of_one_size(monkeypatch: pytest.MonkeyPat
     assert shapes == {(256 * 32 // 16, 16, recipe.config.tokens.width)}
 
 
-def test_padding_changes_nothing() -> None:
-    config = INetConfig(TokenConfig(), layers=2, width=16)
+@pytest.mark.parametrize("reach", [0, 2])
+def test_padding_changes_nothing(reach: int) -> None:
+    config = INetConfig(TokenConfig(), layers=2, width=16, reach=reach)
     net = shaken(config)
     tokens = torch.linspace(-1.0, 1.0, 3 * 5 * config.tokens.width).view(3, 5, -1)
     padded = torch.cat([tokens, torch.full((3, 4, config.tokens.width), 7.0)], dim=1)
     padding = torch.arange(9).expand(3, 9) >= 5
     np.testing.assert_allclose(net(padded, padding)[:, :5].detach(), net(tokens).detach(), atol=2e-6)
+
+
+def test_blocks_that_reach_know_which_samples_are_neighbours() -> None:
+    config = INetConfig(TokenConfig(), layers=1, width=16, reach=1)
+    net = shaken(config)
+    with torch.no_grad():
+        net.blocks[0].qkv.weight.zero_()  # all keys alike: attention sees the mean of values that are zero
+        net.blocks[0].qkv.bias.zero_()
+    tokens = torch.linspace(-1.0, 1.0, 7 * config.tokens.width).sin().view(1, 7, -1)
+    other = tokens.clone()
+    other[0, 3] = 2.0
+    changed = (net(tokens) != net(other))[0].any(dim=-1)
+    assert changed.tolist() == [False, False, True, True, True, False, False]
+
+
+def test_samples_without_an_order_have_no_neighbours() -> None:
+    with pytest.raises(ValueError, match="reach: expected 0 for samples in 2 dimensions, got 1"):
+        INetConfig(TokenConfig(dim=2), reach=1)
 
 
 def test_network_is_equivariant_to_token_order() -> None:

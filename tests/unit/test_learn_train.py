@@ -6,6 +6,8 @@ import csv
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +18,10 @@ from nqr_geom.cli import main
 from nqr_geom.curves.families import control_points
 from nqr_geom.curves.training import NEAREST, gwn_batch, near_distance, quadratic_winding
 from nqr_geom.integrator.learn.inet import INet, INetConfig
+from nqr_geom.integrator.learn.learner import Learner, Optimizer
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.tokens import TokenConfig
-from nqr_geom.integrator.learn.train import TrainConfig, learning_rate, loss, train
+from nqr_geom.integrator.learn.train import TrainConfig, alike, launch, learning_rate, loss, train
 from nqr_geom.integrator.problem import Link, LogLink, Observation, Problem
 from nqr_geom.recipes import JOINT, RECIPES
 from nqr_geom.streams import Stream
@@ -88,13 +91,29 @@ def test_a_tiny_network_beats_its_base_in_seconds(tmp_path: Path) -> None:
     assert (tmp_path / "loss.png").stat().st_size > 1000
 
 
-def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
-    whole = run(tmp_path / "whole", SHORT)
-    run(tmp_path / "parts", replace(SHORT, iterations=8))
+def test_muon_trains_the_matrices_inside_blocks_alone(tmp_path: Path) -> None:
+    before = INet(TINY.config)
+    fabric = launch(TINY.config, 1, 1, "cpu", "32-true")
+    learner = Learner(fabric, before, INet(TINY.config), 1e-3, 0.0, 0.9, 1.0, "muon")
+    others, inner = ({id(weight) for weight in one.param_groups[0]["params"]} for one in learner.optimizers)
+    names = {name for name, weight in before.named_parameters() if id(weight) in inner}
+    assert names == {f"blocks.0.{name}.weight" for name in ("qkv", "out", "up", "down")}
+    assert others == {id(weight) for weight in before.parameters()} - inner
+    long = TrainConfig(iterations=150, batch=64, rate=1e-2, warmup=10, decay=50, average=0.9, every=150, validation=512)
+    run(tmp_path, replace(long, optimizer="muon"))
+    last = curve(tmp_path)[-1]
+    assert float(last["validation_mse"]) < 0.3 * float(last["base_mse"])
+
+
+@pytest.mark.parametrize("optimizer", ["adamw", "muon"])
+def test_a_killed_run_goes_on_as_if_it_had_not_been(tmp_path: Path, optimizer: Optimizer) -> None:
+    config = replace(SHORT, optimizer=optimizer)
+    whole = run(tmp_path / "whole", config)
+    run(tmp_path / "parts", replace(config, iterations=8))
     # What a kill between checkpoints leaves behind: a line that the checkpoint does not know.
     with (tmp_path / "parts" / "loss.csv").open("a") as file:
         file.write("10,1,1,1,1,1\n")
-    parts = run(tmp_path / "parts", SHORT)
+    parts = run(tmp_path / "parts", config)
     for a, b in zip(whole.parameters(), parts.parameters(), strict=True):
         assert torch.equal(a, b)
     one, two = curve(tmp_path / "whole"), curve(tmp_path / "parts")
@@ -115,15 +134,26 @@ def test_a_finished_run_is_left_alone(tmp_path: Path) -> None:
     [
         ({"seed": 1}, "expected a run with seed 1, found one with 0"),
         ({"batch": 8}, "expected a run with batch 8, found one with 16"),
+        ({"optimizer": "muon"}, "expected a run with optimizer muon, found one with adamw"),
     ],
 )
-def test_another_run_is_not_continued(tmp_path: Path, change: dict[str, int], message: str) -> None:
+def test_another_run_is_not_continued(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     run(tmp_path, replace(SHORT, iterations=4))
     with pytest.raises(ValueError, match=message):
         run(tmp_path, replace(SHORT, **change))
     wider = replace(TINY, config=replace(TINY.config, width=32))
     with pytest.raises(ValueError, match="out: expected a run with config"):
         run(tmp_path, SHORT, wider)
+
+
+def test_a_run_from_before_there_was_a_choice_of_optimiser_goes_on(tmp_path: Path) -> None:
+    run(tmp_path, replace(SHORT, iterations=4))
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    identity = json.loads(state["identity"])
+    del identity["optimizer"]
+    torch.save({**state, "identity": json.dumps(identity)}, tmp_path / "checkpoint.pt")
+    run(tmp_path, SHORT)
+    assert curve(tmp_path)[-1]["iteration"] == "12"
 
 
 def test_a_run_may_start_from_another(tmp_path: Path) -> None:
@@ -189,9 +219,10 @@ def test_schedule_rises_stays_and_falls() -> None:
         ({"warmup": -1}, "warmup: expected an integer >= 0, got -1"),
         ({"rate": 0.0}, "rate: expected a number > 0.0, got 0.0"),
         ({"average": 1.5}, "average: expected a number >= 0.0 and <= 1.0, got 1.5"),
+        ({"optimizer": "sgd"}, "optimizer: expected one of adamw, muon, got 'sgd'"),
     ],
 )
-def test_bad_configurations_are_refused(change: dict[str, float], message: str) -> None:
+def test_bad_configurations_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(SHORT, **change)
 
@@ -292,6 +323,15 @@ def test_loss_is_the_mean_squared_error_of_small_errors() -> None:
     np.testing.assert_allclose(loss(recipe, INet(recipe.config), batch, samples).item(), expected, rtol=1e-6)
 
 
+def test_iterations_count_alike_whatever_their_errors() -> None:
+    value = torch.tensor([4.0, 4e-6], requires_grad=True)
+    for each in value:
+        alike(replace(TINY, alike=True), each * each).backward()
+    np.testing.assert_allclose(value.grad, 2.0 / value.detach(), rtol=1e-6)  # of log value^2
+    assert torch.equal(alike(TINY, value), value)
+    assert alike(replace(TINY, alike=True), torch.zeros(())).item() == 0.0
+
+
 def test_checkpoints_say_what_they_are(tmp_path: Path) -> None:
     run(tmp_path, replace(SHORT, iterations=4))
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
@@ -300,11 +340,19 @@ def test_checkpoints_say_what_they_are(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*.new*"))
 
 
-def test_the_command_line_trains_and_publishes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_trains_and_publishes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = str(tmp_path / "run")
-    words = ["train", "toy-uniform", "--out", out, "--iterations", "1", "--batch", "8"]
+    words = ["train", "toy-uniform", "--out", out, "--iterations", "1", "--batch", "8", "--optimizer", "muon"]
     assert main(words) == 0
-    assert json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])["batch"] == 8
+    told = json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])
+    assert (told["batch"], told["optimizer"]) == (8, "muon")
+    made = lambda recipe, run, folder, command: SimpleNamespace(name=command)  # noqa: E731
+    monkeypatch.setattr("nqr_geom.integrator.learn.publish.publish", made)
+    assert main([*words, "--publish", "models"]) == 0
+    command = "nqr-geom train toy-uniform --iterations 1 --batch 8 --optimizer muon"
+    assert f"wrote models/{command}.safetensors" in " ".join(capsys.readouterr().out.split())
     assert main(["train", "nothing", "--out", out, "--iterations", "1"]) == 2
     assert f"name: expected one of {', '.join(sorted([*RECIPES, *JOINT]))}, got 'nothing'" in capsys.readouterr().err
     pair = str(tmp_path / "pair")

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from nqr_geom import check
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, standard, tokenize
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
@@ -63,6 +64,14 @@ class INetConfig:
         its base, and says so unless the base has seen nothing either. In training the clamp of Eq. 56 takes care of it.
     direct : bool
         The heads read the tokens themselves, too: what a token already tells, two layers need not copy.
+    reach : int
+        Samples on either side that a block's MLP reads beside its own, where samples lie in a row (D = 1). Attention
+        can find neighbours, but has to learn where they are.
+
+    Raises
+    ------
+    ValueError
+        If samples without an order shall reach for their neighbours.
     """
 
     tokens: TokenConfig = field(default_factory=TokenConfig)
@@ -80,6 +89,12 @@ class INetConfig:
     gated: bool = False
     positive: bool = False
     direct: bool = False
+    reach: int = 0
+
+    def __post_init__(self) -> None:
+        check.integer("reach", self.reach, low=0)
+        if self.reach and self.tokens.dim != 1:
+            raise ValueError(f"reach: expected 0 for samples in {self.tokens.dim} dimensions, got {self.reach}")
 
     @property
     def skips(self) -> bool:
@@ -106,13 +121,13 @@ class INetConfig:
 class Block(nn.Module):
     """Pre-norm transformer block with plain attention: on CPUs it is faster than the fused kernel at these sizes."""
 
-    def __init__(self, width: int, heads: int, expansion: int) -> None:
+    def __init__(self, width: int, heads: int, expansion: int, reach: int = 0) -> None:
         super().__init__()
-        self.heads = heads
+        self.heads, self.reach = heads, reach
         self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
         self.qkv = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
-        self.up = nn.Linear(width, expansion * width)
+        self.up = nn.Linear((2 * reach + 1) * width, expansion * width)
         self.down = nn.Linear(expansion * width, width)
 
     def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
@@ -123,7 +138,13 @@ class Block(nn.Module):
         score = (q * (e // self.heads) ** -0.5) @ k.transpose(-1, -2)  # (B, H, L, L)
         mix = (score if bias is None else score + bias).softmax(dim=-1).to(v.dtype)  # (B, H, L, L)
         x = x + self.out((mix @ v).transpose(1, 2).reshape(b, n, e))  # (B, L, E)
-        return x + self.down(self.up(self.norm2(x)).relu())  # (B, L, E)
+        y = self.norm2(x)
+        if self.reach:
+            if bias is not None:
+                y = y.masked_fill(bias[:, 0, 0, :, None] < 0.0, 0.0)  # as beyond the ends
+            beside = nn.functional.pad(y, (0, 0, self.reach, self.reach))
+            y = torch.cat([beside[:, k : k + n] for k in range(2 * self.reach + 1)], dim=-1)
+        return x + self.down(self.up(y).relu())  # (B, L, E)
 
 
 class INet(nn.Module):
@@ -140,7 +161,8 @@ class INet(nn.Module):
         self.config = config
         width = config.width
         self.embed_in, self.embed_out = nn.Linear(config.tokens.width, 2 * width), nn.Linear(2 * width, width)
-        self.blocks = nn.ModuleList(Block(width, config.heads, config.expansion) for _ in range(config.layers))
+        sizes = width, config.heads, config.expansion, config.reach
+        self.blocks = nn.ModuleList(Block(*sizes) for _ in range(config.layers))
         self.norm = nn.LayerNorm(width) if config.layers else nn.ReLU()
         self.head = nn.Linear(width + config.direct * config.tokens.width, config.outputs)
         nn.init.zeros_(self.head.weight)

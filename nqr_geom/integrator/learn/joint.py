@@ -25,6 +25,7 @@ from nqr_geom.integrator.learn.snet import LearnedSampler, Rollout, SNet, SNetCo
 from nqr_geom.integrator.learn.tokens import Extra, sort_samples
 from nqr_geom.integrator.learn.train import (
     TrainConfig,
+    alike,
     draw_batch,
     expected_error,
     follow,
@@ -172,7 +173,7 @@ def train_jointly(
     out : path
         Folder of the run, as for `train`.
     config : JointConfig
-        How long and how fast. A continuation may change the length and the rates, not batch, group or seed.
+        How long and how fast. A continuation may change the length and the rates, not batch, group, seed or optimiser.
     start_from : path, optional
         Run of the recipe `recipe.begin`: a new run begins with its averaged network.
     devices, num_nodes, accelerator, precision
@@ -199,9 +200,9 @@ def train_jointly(
     base = validate(recipe, recipe.snet(), registry.make("rule", recipe.rule.consistent), config)
     if start_from is not None:
         _adopt(inet, RunFolder(Path(start_from)), recipe.begin, recipe.heads)
-    common = {"weight_decay": config.weight_decay, "keep": config.average, "clip": config.clip}
-    integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, **common)
-    sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, **common)
+    common = (config.weight_decay, config.average, config.clip, config.optimizer)
+    integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, *common)
+    sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, *common)
     sizes = Stream(config.seed, "train", "sizes")
 
     def lesson(iteration: int, rows: Tensor) -> Tensor:
@@ -214,7 +215,7 @@ def train_jointly(
         else:
             value = piecewise(recipe.rule, integrator.model, batch, samples)
         rate = learning_rate(config, iteration)
-        integrator.step(value, rate, iteration)
+        integrator.step(alike(recipe.rule, value), rate, iteration)
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)
         if expected is not None:  # what is expected of the samples says the same with less noise, if it is right
             outcome = 0.5 * (outcome + expected[:, 0])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-__all__ = ["Learner", "Schedule", "learning_rate"]
+__all__ = ["Learner", "Optimizer", "Schedule", "learning_rate"]
+
+Optimizer = Literal["adamw", "muon"]
 
 
 class Schedule(Protocol):
@@ -51,57 +53,85 @@ class Learner(Generic[Net]):
     net, average : nn.Module
         The network, and another of the same weights that holds their exponential average.
     rate, weight_decay : float
-        AdamW's.
+        Of the optimiser.
     keep : float
         Decay of the average; less in the first iterations.
     clip : float
         Largest norm of a gradient.
+    optimizer : {"adamw", "muon"}
+        Muon steps along the nearest orthogonal matrix to the gradient of each weight matrix inside blocks, as far as
+        AdamW would go; AdamW does the rest, or everything.
 
     Attributes
     ----------
     model : callable
         The network as Fabric wraps it: call this one where gradients are wanted.
+
+    References
+    ----------
+    Muon: Jordan et al. 2024, https://kellerjordan.github.io/posts/muon; step lengths of Liu et al. 2025,
+    arXiv:2502.16982.
     """
 
     def __init__(
-        self, fabric: Any, net: Net, average: Net, rate: float, weight_decay: float, keep: float, clip: float
+        self,
+        fabric: Any,
+        net: Net,
+        average: Net,
+        rate: float,
+        weight_decay: float,
+        keep: float,
+        clip: float,
+        optimizer: Optimizer = "adamw",
     ) -> None:
         average.load_state_dict(net.state_dict())
         self.fabric, self.net, self.average, self.keep, self.clip = fabric, net, average, keep, clip
-        self.optimizer = torch.optim.AdamW(
-            net.parameters(), lr=rate, betas=(0.9, 0.98), weight_decay=weight_decay, fused=True
-        )
+        inner = {
+            name: weight
+            for name, weight in net.named_parameters()
+            if optimizer == "muon" and weight.ndim == 2 and name.startswith("blocks.")
+        }
+        others = [weight for name, weight in net.named_parameters() if name not in inner]
+        self.optimizers: list[torch.optim.Optimizer] = [
+            torch.optim.AdamW(others, lr=rate, betas=(0.9, 0.98), weight_decay=weight_decay, fused=True)
+        ]
+        if inner:
+            matrices = [*inner.values()]
+            self.optimizers.append(
+                torch.optim.Muon(matrices, lr=rate, weight_decay=weight_decay, adjust_lr_fn="match_rms_adamw")
+            )
         self._weights: list[Tensor] = []
         self._averaged: list[Tensor] = []
 
     def begin(self) -> None:
         """Hand everything to Fabric, once the state is in place."""
-        self.model, self.stepper = self.fabric.setup(self.net, self.optimizer)
+        self.model, *self.steppers = self.fabric.setup(self.net, *self.optimizers)
         self.average.to(self.fabric.device)
         self._weights, self._averaged = [*self.net.parameters()], [*self.average.parameters()]
 
     def step(self, loss: Tensor, rate: float, iteration: int) -> None:
         """One step down the gradient of `loss`."""
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = rate
         self.fabric.backward(loss)
-        self.fabric.clip_gradients(self.model, self.stepper, max_norm=self.clip, error_if_nonfinite=False)
-        self.stepper.step()
-        self.stepper.zero_grad()
+        self.fabric.clip_gradients(self.model, self.steppers[0], max_norm=self.clip, error_if_nonfinite=False)
+        for stepper in self.steppers:
+            stepper.step()
+            stepper.zero_grad()
         keep = min(self.keep, (1 + iteration) / (10 + iteration))
         with torch.no_grad():
             torch._foreach_lerp_(self._averaged, self._weights, 1.0 - keep)
 
     def state(self) -> dict[str, Any]:
-        """Weights, average and optimiser, for a checkpoint."""
-        return {
-            "net": self.net.state_dict(),
-            "average": self.average.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-        }
+        """Weights, average and optimisers, for a checkpoint."""
+        first, *more = (optimizer.state_dict() for optimizer in self.optimizers)
+        state = {"net": self.net.state_dict(), "average": self.average.state_dict(), "optimizer": first}
+        return {**state, "muon": more[0]} if more else state
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""
         self.net.load_state_dict(state["net"])
         self.average.load_state_dict(state["average"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        for optimizer, kept in zip(self.optimizers, ("optimizer", "muon"), strict=False):
+            optimizer.load_state_dict(state[kept])

@@ -82,6 +82,9 @@ class Recipe:
     unit : float
         Size of an error, in which errors and `huber` count, where the base rule tells none: an optimiser does not tell
         gradients far below 1e-8 from nothing. Lessons by parts (`missed`) on weights add it to what is in doubt.
+    alike : bool
+        Every iteration counts alike: by its loss over that loss itself, taken as a number. Where errors fall fast with
+        the number of samples, iterations with few of them would otherwise outweigh all others.
     inner, outer : float
         Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
     missed : callable, optional
@@ -107,6 +110,7 @@ class Recipe:
     surplus: int = 1
     huber: float = 1.0
     unit: float = 1.0
+    alike: bool = False
     inner: float = 0.2
     outer: float = 0.8
     missed: Callable[[Batch, Samples], Tensor] | None = None
