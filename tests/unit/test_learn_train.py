@@ -324,12 +324,13 @@ def test_loss_is_the_mean_squared_error_of_small_errors() -> None:
 
 
 def test_iterations_count_alike_whatever_their_errors() -> None:
+    fabric, recipe = launch(TINY.config, 1, 1, "cpu", "32-true"), replace(TINY, alike=True)
     value = torch.tensor([4.0, 4e-6], requires_grad=True)
     for each in value:
-        alike(replace(TINY, alike=True), each * each).backward()
+        alike(recipe, each * each, fabric).backward()
     np.testing.assert_allclose(value.grad, 2.0 / value.detach(), rtol=1e-6)  # of log value^2
-    assert torch.equal(alike(TINY, value), value)
-    assert alike(replace(TINY, alike=True), torch.zeros(())).item() == 0.0
+    assert torch.equal(alike(TINY, value, fabric), value)
+    assert alike(recipe, torch.zeros(()), fabric).item() == 0.0
 
 
 def test_checkpoints_say_what_they_are(tmp_path: Path) -> None:

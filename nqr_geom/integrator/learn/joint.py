@@ -215,7 +215,7 @@ def train_jointly(
         else:
             value = piecewise(recipe.rule, integrator.model, batch, samples)
         rate = learning_rate(config, iteration)
-        integrator.step(alike(recipe.rule, value), rate, iteration)
+        integrator.step(alike(recipe.rule, value, fabric), rate, iteration)
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)
         if expected is not None:  # what is expected of the samples says the same with less noise, if it is right
             outcome = 0.5 * (outcome + expected[:, 0])

@@ -200,9 +200,12 @@ def loss(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples:
     return robust(recipe, *residuals(recipe, net, batch, samples), expected_error(recipe, samples), batch.weight)
 
 
-def alike(recipe: Recipe, value: Tensor) -> Tensor:
-    """A loss as it counts: by itself, or where all iterations count alike, over what it is."""
-    return value / value.detach().clamp_min(_NOTHING) if recipe.alike else value
+def alike(recipe: Recipe, value: Tensor, fabric: Any) -> Tensor:
+    """A loss as it counts: by itself, or where all iterations count alike, over what it is for the whole batch."""
+    if not recipe.alike:
+        return value
+    whole: Tensor = fabric.all_reduce(value.detach().clone(), reduce_op="mean")
+    return value / whole.clamp_min(_NOTHING)
 
 
 @torch.no_grad()
@@ -284,7 +287,7 @@ def train(
     def lesson(iteration: int, rows: Tensor) -> Tensor:
         batch, samples = draw_lesson(recipe, rows, recipe.size(sizes, iteration), config.seed)
         value = loss(recipe, learner.model, batch, samples)
-        learner.step(alike(recipe, value), learning_rate(config, iteration), iteration)
+        learner.step(alike(recipe, value, fabric), learning_rate(config, iteration), iteration)
         return value
 
     def measure() -> tuple[float, float]:
