@@ -51,9 +51,7 @@ def train(
         train_one(recipe, out, TrainConfig(**options), start_from=start_from, **where)
     out_console.print(f"wrote {out}", highlight=False)
     if publish is not None:
-        usual = {"decay": 0, "batch": None, "rate": None, "optimizer": "adamw", "seed": 0}
-        told = {"decay": decay, "batch": batch, "rate": rate, "optimizer": optimizer, "seed": seed}
-        words = [f" --{key} {value}" for key, value in told.items() if value != usual[key]]
-        command = f"nqr-geom train {recipe.name} --iterations {iterations}{''.join(words)}"
-        card = make_model(recipe, out, publish, command=command)
+        told = options | ({} if start_from is None else {"start-from": start_from})
+        words = [f"--{key} {value}" for key, value in told.items()]
+        card = make_model(recipe, out, publish, command=" ".join(["nqr-geom train", recipe.name, *words]))
         out_console.print(f"wrote {publish / card.name}.safetensors", highlight=False)

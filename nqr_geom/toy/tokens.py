@@ -61,10 +61,8 @@ def toy_tokens(samples: Samples) -> Tensor:
     piece = samples.feature("piece", "inet")[:, :, 0, 0]
     step = pad(x.diff(dim=1), (1, 1)).float()
     same = pad(piece.diff(dim=1) == 0, (1, 1))
-    reach = torch.cat([x[:, :1], 0.5 * x.diff(dim=1), 1.0 - x[:, -1:]], dim=1)
-    share = samples.n * (reach[:, :-1] + reach[:, 1:])
     parts = [
-        share.clamp_min(1e-4).log().float(),
+        interval_weights(x).clamp_min(1e-4).log().float(),
         compress(d, 10.0),
         *_side(v, d, torch.roll(v, 1, dims=1), torch.roll(d, 1, dims=1), -step[:, :-1], same[:, :-1]),
         *_side(v, d, torch.roll(v, -1, dims=1), torch.roll(d, -1, dims=1), step[:, 1:], same[:, 1:]),

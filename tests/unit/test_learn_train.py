@@ -95,7 +95,7 @@ def test_muon_trains_the_matrices_inside_blocks_alone(tmp_path: Path) -> None:
     before = INet(TINY.config)
     fabric = launch(TINY.config, 1, 1, "cpu", "32-true")
     learner = Learner(fabric, before, INet(TINY.config), 1e-3, 0.0, 0.9, 1.0, "muon")
-    others, inner = ({id(weight) for weight in one.param_groups[0]["params"]} for one in learner.optimizers)
+    others, inner = ({id(weight) for weight in one.param_groups[0]["params"]} for one in learner.optimizers.values())
     names = {name for name, weight in before.named_parameters() if id(weight) in inner}
     assert names == {f"blocks.0.{name}.weight" for name in ("qkv", "out", "up", "down")}
     assert others == {id(weight) for weight in before.parameters()} - inner
@@ -347,13 +347,18 @@ def test_the_command_line_trains_and_publishes(
     out = str(tmp_path / "run")
     words = ["train", "toy-uniform", "--out", out, "--iterations", "1", "--batch", "8", "--optimizer", "muon"]
     assert main(words) == 0
-    told = json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])
-    assert (told["batch"], told["optimizer"]) == (8, "muon")
-    made = lambda recipe, run, folder, command: SimpleNamespace(name=command)  # noqa: E731
+    config = json.loads(torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["train"])
+    assert (config["batch"], config["optimizer"]) == (8, "muon")
+    told: list[str] = []
+
+    def made(recipe: Recipe, run: Path, folder: Path, command: str) -> SimpleNamespace:
+        told.append(command)
+        return SimpleNamespace(name=recipe.name)
+
     monkeypatch.setattr("nqr_geom.integrator.learn.publish.publish", made)
-    assert main([*words, "--publish", "models"]) == 0
-    command = "nqr-geom train toy-uniform --iterations 1 --batch 8 --optimizer muon"
-    assert f"wrote models/{command}.safetensors" in " ".join(capsys.readouterr().out.split())
+    assert main([*words, "--publish", "models", "--start-from", out]) == 0
+    options = "--iterations 1 --decay 0 --optimizer muon --seed 0 --batch 8"
+    assert told == [f"nqr-geom train toy-uniform {options} --start-from {out}"]
     assert main(["train", "nothing", "--out", out, "--iterations", "1"]) == 2
     assert f"name: expected one of {', '.join(sorted([*RECIPES, *JOINT]))}, got 'nothing'" in capsys.readouterr().err
     pair = str(tmp_path / "pair")

@@ -200,9 +200,10 @@ def train_jointly(
     base = validate(recipe, recipe.snet(), registry.make("rule", recipe.rule.consistent), config)
     if start_from is not None:
         _adopt(inet, RunFolder(Path(start_from)), recipe.begin, recipe.heads)
-    common = (config.weight_decay, config.average, config.clip, config.optimizer)
-    integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, *common)
-    sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, *common)
+    common: dict[str, Any] = {"weight_decay": config.weight_decay, "keep": config.average, "clip": config.clip}
+    common["optimizer"] = config.optimizer
+    integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, **common)
+    sampler = Learner(fabric, snet, recipe.snet(), config.sampler_rate, **common)
     sizes = Stream(config.seed, "train", "sizes")
 
     def lesson(iteration: int, rows: Tensor) -> Tensor:

@@ -86,32 +86,30 @@ class Learner(Generic[Net]):
     ) -> None:
         average.load_state_dict(net.state_dict())
         self.fabric, self.net, self.average, self.keep, self.clip = fabric, net, average, keep, clip
-        inner = {
-            name: weight
-            for name, weight in net.named_parameters()
-            if optimizer == "muon" and weight.ndim == 2 and name.startswith("blocks.")
+        inner: list[nn.Parameter] = []
+        others: list[nn.Parameter] = []
+        for name, weight in net.named_parameters():
+            by_muon = optimizer == "muon" and weight.ndim == 2 and name.startswith("blocks.")
+            (inner if by_muon else others).append(weight)
+        self.optimizers: dict[str, torch.optim.Optimizer] = {  # by their names in a checkpoint
+            "optimizer": torch.optim.AdamW(others, lr=rate, betas=(0.9, 0.98), weight_decay=weight_decay, fused=True)
         }
-        others = [weight for name, weight in net.named_parameters() if name not in inner]
-        self.optimizers: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW(others, lr=rate, betas=(0.9, 0.98), weight_decay=weight_decay, fused=True)
-        ]
         if inner:
-            matrices = [*inner.values()]
-            self.optimizers.append(
-                torch.optim.Muon(matrices, lr=rate, weight_decay=weight_decay, adjust_lr_fn="match_rms_adamw")
+            self.optimizers["muon"] = torch.optim.Muon(
+                inner, lr=rate, weight_decay=weight_decay, adjust_lr_fn="match_rms_adamw"
             )
         self._weights: list[Tensor] = []
         self._averaged: list[Tensor] = []
 
     def begin(self) -> None:
         """Hand everything to Fabric, once the state is in place."""
-        self.model, *self.steppers = self.fabric.setup(self.net, *self.optimizers)
+        self.model, *self.steppers = self.fabric.setup(self.net, *self.optimizers.values())
         self.average.to(self.fabric.device)
         self._weights, self._averaged = [*self.net.parameters()], [*self.average.parameters()]
 
     def step(self, loss: Tensor, rate: float, iteration: int) -> None:
         """One step down the gradient of `loss`."""
-        for optimizer in self.optimizers:
+        for optimizer in self.optimizers.values():
             for group in optimizer.param_groups:
                 group["lr"] = rate
         self.fabric.backward(loss)
@@ -125,13 +123,12 @@ class Learner(Generic[Net]):
 
     def state(self) -> dict[str, Any]:
         """Weights, average and optimisers, for a checkpoint."""
-        first, *more = (optimizer.state_dict() for optimizer in self.optimizers)
-        state = {"net": self.net.state_dict(), "average": self.average.state_dict(), "optimizer": first}
-        return {**state, "muon": more[0]} if more else state
+        steps = {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+        return {"net": self.net.state_dict(), "average": self.average.state_dict(), **steps}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""
         self.net.load_state_dict(state["net"])
         self.average.load_state_dict(state["average"])
-        for optimizer, kept in zip(self.optimizers, ("optimizer", "muon"), strict=False):
-            optimizer.load_state_dict(state[kept])
+        for name, optimizer in self.optimizers.items():
+            optimizer.load_state_dict(state[name])
