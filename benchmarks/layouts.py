@@ -122,13 +122,13 @@ def toy_ablation(rows: list[Row]) -> str:
 
 
 def learning_speed(rows: list[Row]) -> str:
-    """toy-uniform without one thing at a time, and when the whole was as good."""
+    """toy-uniform without one thing at a time, and when the first of the rows was as good."""
     lines = [
         [row["variant"], short(row["mse"]), short(row["ratio"]), short(row["as_good_at"]) if row["as_good_at"] else ""]
         for row in rows
     ]
     picture = _pictures([("learning-speed.png", "error against iterations of training")])
-    head = ["the network", "mean squared error at the end", "x Monte Carlo", "iterations until the whole was as good"]
+    head = ["the network", "mean squared error at the end", "x Monte Carlo", "iterations until the first was as good"]
     return picture + markdown(head, lines)
 
 

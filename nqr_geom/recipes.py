@@ -29,8 +29,9 @@ from nqr_geom.render.gaps import VolumeGaps
 from nqr_geom.render.tokens import VOLUME_TOKENS
 from nqr_geom.render.training import transmittance_batch
 from nqr_geom.toy.gaps import ToyGaps
+from nqr_geom.toy.law_terms import LAW_TERMS, missed_by_mean
 from nqr_geom.toy.law_tokens import LAW_TOKENS, missed
-from nqr_geom.toy.tokens import TOY_TERMS, toy_batch
+from nqr_geom.toy.tokens import toy_batch
 from nqr_geom.toy.told_tokens import TOLD_TOKENS, missed_by_weights
 from nqr_geom.wos.steps import LaplaceWalks
 from nqr_geom.wos.tokens import WALK_TOKENS
@@ -38,7 +39,7 @@ from nqr_geom.wos.training import laplace_batch
 
 __all__ = ["JOINT", "RECIPES", "folder", "model", "named", "rule_of", "sampler"]
 
-_TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=TOY_TERMS.size, centred=True)
+_TOY = TokenConfig(features=(Feature("piece", "index", levels=5),), extra=LAW_TERMS.size, centred=True)
 _LAWS = replace(_TOY, frequencies=2, extra=LAW_TOKENS.size, unit=1.0)  # a jump is of the same size in all rows
 _CURVE = TokenConfig(
     features=(Feature("piece", "index", levels=6), Feature("normal", "direction", 2)),
@@ -83,11 +84,13 @@ RECIPES: dict[str, Recipe] = {
             family=toy_batch,
             base="uniform",
             consistent="trapezoid",
-            config=INetConfig(_TOY, unit_mass=True, direct=True, reach=1),
+            config=INetConfig(_TOY, weights="kept", offset=True, spread=True, direct=True, reach=1),
             sees=("derivative", "piece"),
-            extra=TOY_TERMS,
+            extra=LAW_TERMS,
             sizes=_SIZES,
+            designs=("random", "random", "stratified"),
             alike=True,
+            missed=missed_by_mean,
         ),
         Recipe(
             name="toy-told",

@@ -19,9 +19,20 @@ from nqr_geom.toy.problem import ToyProblem
 from nqr_geom.toy.structured import GapIntegrals, ToyHermite
 from nqr_geom.toy.tokens import TOY_TOKENS, toy_checked, toy_doubt, toy_tokens
 
-__all__ = ["LAW_TOKENS", "law_tokens", "missed", "moved", "pieces_of"]
+__all__ = [
+    "LAW_TOKENS",
+    "REACH",
+    "answered",
+    "continued",
+    "law_tokens",
+    "missed",
+    "moved",
+    "pieces_of",
+    "seen",
+    "waves",
+]
 
-_REACH = 0.04  # a usual gap: slopes and curvatures count over this distance
+REACH = 0.04  # a usual gap: slopes and curvatures count over this distance
 _NODES = 8  # places of a break, from one end of a gap to the other
 _OWN = 14  # quantities of a sample
 _BESIDE = _OWN + 6
@@ -31,7 +42,7 @@ _SLOWEST = (0.5 * Shape().frequency[0]) ** 2  # alpha of a wave: below, rounding
 _SIZE = TOY_TOKENS.size + _OWN + 4 * _BESIDE + 3 * _NODES + 3 + _ROW
 
 
-def _waves(v: Tensor, d: Tensor, law: Law) -> tuple[Tensor, Tensor, Tensor]:
+def waves(v: Tensor, d: Tensor, law: Law) -> tuple[Tensor, Tensor, Tensor]:
     """Whether each sample lies in a known wave, how far above it that one is centred, and its height, (B, N) each."""
     wave = law.known & (law.alpha > _SLOWEST)
     alpha = torch.where(wave, law.alpha, 1.0)
@@ -41,9 +52,9 @@ def _waves(v: Tensor, d: Tensor, law: Law) -> tuple[Tensor, Tensor, Tensor]:
 
 def _own(samples: Samples, law: Law, level: Tensor) -> Tensor:
     """What is known of each sample and of its piece, (B, N, _OWN): sizes in jumps, lengths in tenths."""
-    x, v, d, piece = _seen(samples)
+    x, v, d, piece = seen(samples)
     jump, known = Shape().jump, law.known
-    wave, above, height = _waves(v, d, law)
+    wave, above, height = waves(v, d, law)
 
     def of_pieces(value: Tensor, start: float, way: str) -> Tensor:
         return x.new_full((len(x), PIECES), start).scatter_reduce_(1, piece, value, way)
@@ -55,9 +66,9 @@ def _own(samples: Samples, law: Law, level: Tensor) -> Tensor:
     count, first, last, before, after = (part.gather(1, piece) for part in (count, first, last, before, after))
     parts = [
         (v - level) / jump,
-        (d * (_REACH / jump)).asinh(),
-        torch.where(known, law.curvature * (_REACH**2 / jump), 0.0).asinh(),
-        torch.where(wave, law.alpha, 0.0).sqrt() * _REACH,
+        (d * (REACH / jump)).asinh(),
+        torch.where(known, law.curvature * (REACH**2 / jump), 0.0).asinh(),
+        torch.where(wave, law.alpha, 0.0).sqrt() * REACH,
         known,
         wave,
         torch.where(wave, v + above - level, 0.0) / jump,
@@ -72,7 +83,7 @@ def _own(samples: Samples, law: Law, level: Tensor) -> Tensor:
     return torch.stack([part.double() for part in parts], dim=-1)
 
 
-def _seen(samples: Samples) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def seen(samples: Samples) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """x, f, f' and piece index, (B, N) each."""
     d, piece = (samples.feature(name, "inet")[..., 0, 0] for name in ("derivative", "piece"))
     return samples.x[..., 0], samples.value[..., 0, 0], d, piece
@@ -95,21 +106,23 @@ def _beside(own: Tensor, x: Tensor, piece: Tensor, by: int) -> Tensor:
     return torch.cat([moved(own, by), torch.stack([part.double() for part in parts], dim=-1)], dim=-1)
 
 
+def continued(t: Tensor, alpha: Tensor, curvature: Tensor, value: Tensor, slope: Tensor) -> Tensor:
+    """f at distances t (B, N, K) from points where all else (B, N) is known."""
+    alpha, curvature, value, slope = (part[..., None] for part in (alpha, curvature, value, slope))
+    return propagate(alpha, t, value, slope, curvature)[0]
+
+
 def _across(samples: Samples, law: Law) -> Tensor:
     """Both laws over the gap to the right of each sample, (B, N, 3 _NODES): their difference, the left one, and how
     high the right one stands if it is a wave, of its own height."""
-    x, v, d, _ = _seen(samples)
+    x, v, d, _ = seen(samples)
     u = torch.linspace(0.0, 1.0, _NODES, dtype=x.dtype, device=x.device)
     there = moved(torch.ones_like(x), 1)[..., None]
     step = (torch.where(there[..., 0] > 0.0, moved(x, 1), 1.0) - x)[..., None]
-    laws = *(torch.where(law.known, part, 0.0) for part in (law.alpha, law.curvature)), v, d, *_waves(v, d, law)
-
-    def side(t: Tensor, alpha: Tensor, curvature: Tensor, value: Tensor, slope: Tensor) -> Tensor:
-        alpha, curvature, value, slope = (part[..., None] for part in (alpha, curvature, value, slope))
-        return propagate(alpha, t, value, slope, curvature)[0]
+    laws = *(torch.where(law.known, part, 0.0) for part in (law.alpha, law.curvature)), v, d, *waves(v, d, law)
 
     beyond = [moved(part, 1) for part in laws]
-    left, right = side(u * step, *laws[:4]), side((u - 1.0) * step, *beyond[:4])
+    left, right = continued(u * step, *laws[:4]), continued((u - 1.0) * step, *beyond[:4])
     _, _, value, _, wave, above, height = (part[..., None] for part in beyond)
     high = torch.where(wave, (right - value - above) / height.clamp_min(1e-12), 0.0)
     jump = Shape().jump
@@ -124,9 +137,9 @@ def _spread(v: Tensor) -> Tensor:
 
 def _row(samples: Samples, law: Law, level: Tensor) -> Tensor:
     """What the whole row tells, (B, 1, _ROW): the spread of values, and the mean centre of the waves."""
-    _, v, d, _ = _seen(samples)
+    _, v, d, _ = seen(samples)
     jump = Shape().jump
-    wave, above, _ = _waves(v, d, law)
+    wave, above, _ = waves(v, d, law)
     off = torch.where(wave, v - level + above, 0.0)
     count = wave.sum(dim=1, keepdim=True)
     centre = row_sum(off)[:, None] / count.clamp_min(1)
@@ -141,7 +154,7 @@ def law_tokens(samples: Samples, gaps: GapIntegrals | None = None) -> Tensor:
 
     `gaps` is what `ToyHermite` says of them, if that is known.
     """
-    x, v, _, piece = _seen(samples)
+    x, v, _, piece = seen(samples)
     level = row_mean(v)[:, None]
     gaps = gaps or ToyHermite().gaps(samples)
     own = _own(samples, gaps.law, level)
@@ -173,11 +186,15 @@ def pieces_of(batch: Batch) -> Pieces:
     return batch.problem.pieces
 
 
+def answered(gaps: Tensor) -> Tensor:
+    """What each of N samples answers for, (B, N), of N + 1 gaps: the one to its right; the first, both."""
+    return torch.cat([gaps[:, :1] + gaps[:, 1:2], gaps[:, 2:]], dim=1)
+
+
 def missed(batch: Batch, samples: Samples) -> Tensor:
     """What `ToyHermite` misses of the gaps that each of the sorted samples answers for, (B, N) float64."""
     gaps = ToyHermite().gaps(samples)
-    off = pieces_of(batch).antiderivative(gaps.edges).diff(dim=1) - gaps.integral
-    return torch.cat([off[:, :1] + off[:, 1:2], off[:, 2:]], dim=1)
+    return answered(pieces_of(batch).antiderivative(gaps.edges).diff(dim=1) - gaps.integral)
 
 
 LAW_TOKENS = Extra(

@@ -12,7 +12,7 @@ import torch
 
 from nqr_geom import registry
 from nqr_geom.integrator.learn import inet
-from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule, correct, has_bfloat16
+from nqr_geom.integrator.learn.inet import INet, INetConfig, LearnedRule, correct, has_bfloat16, least_change
 from nqr_geom.integrator.learn.recipe import Recipe, draw_samples
 from nqr_geom.integrator.learn.tokens import Extra, TokenConfig, compress, sort_samples, standard, tokenize
 from nqr_geom.integrator.learn.train import robust
@@ -164,6 +164,38 @@ def test_the_network_always_sees_tiles_of_one_size(monkeypatch: pytest.MonkeyPat
     for rows in (1, 300, 600):
         rule.combine(seen(recipe, rows))
     assert shapes == {(256 * 32 // 16, 16, recipe.config.tokens.width)}
+
+
+@pytest.mark.parametrize("techniques", [1, 3])
+def test_the_least_change_moves_the_integral_and_keeps_constants(techniques: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    value = torch.randn(7, 5, techniques, 2, generator=generator, dtype=torch.float64) + 4.0
+    shift = torch.randn(7, 2, generator=generator, dtype=torch.float64)
+    change = least_change(shift, value)
+    np.testing.assert_allclose((change * value).sum(dim=2).mean(dim=1), shift, atol=1e-12)
+    np.testing.assert_allclose(change.sum(dim=(1, 2)), torch.zeros(7, 2), atol=1e-11)
+    # Any other change that does both is larger.
+    for index in np.ndindex(7, 2):
+        row, channel = index
+        both = np.stack([np.ones(5 * techniques), value[row, :, :, channel].numpy().ravel()])
+        smallest = np.linalg.lstsq(both, [0.0, 5.0 * shift[index].item()], rcond=None)[0]
+        np.testing.assert_allclose(change[row, :, :, channel].ravel(), smallest, atol=1e-10)
+    assert not least_change(shift, torch.full_like(value, 1e6)).any()
+
+
+def test_an_offset_that_is_spread_is_one_of_weights() -> None:
+    recipe = RECIPES["toy-uniform"]
+    samples, base = seen(recipe), recipe.base_rule().combine(seen(recipe))
+    raw = torch.zeros(*samples.value.shape[:3], recipe.config.outputs)
+    raw[..., -1] = torch.linspace(-1.0, 2.0, samples.n)[None, :, None]
+    spread = correct(raw, base, samples, recipe.config)
+    added = correct(raw, base, samples, replace(recipe.config, spread=False))
+    assert spread.offset is None
+    assert added.offset is not None
+    np.testing.assert_allclose(spread.estimate(samples), added.estimate(samples), atol=1e-12)
+    np.testing.assert_allclose(spread.weights.mean(dim=1), torch.ones(len(samples.value), 1, 1), atol=1e-12)
+    with pytest.raises(ValueError, match="spread: expected False for a network without an offset, got True"):
+        INetConfig(spread=True)
 
 
 @pytest.mark.parametrize("reach", [0, 2])

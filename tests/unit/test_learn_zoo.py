@@ -220,6 +220,7 @@ def test_a_run_becomes_a_model(tmp_path: Path) -> None:
     config = TrainConfig(iterations=2, batch=8, warmup=1, every=2, validation=16)
     net = train(SMALL, tmp_path / "run", config, precision="32-true", progress=False)
     made = publish(SMALL, tmp_path / "run", tmp_path / "models", command="a test")
+    assert made.family["tokens"] == "nqr_geom.toy.law_terms.law_terms"
     model = load(tmp_path / "models", SMALL)
     assert model.card == made
     assert (made.iterations, made.batch, made.seed) == (2, 8, 0)

@@ -78,7 +78,7 @@ def test_only_integrals_with_a_known_answer_beside_each_sample_teach() -> None:
     with pytest.raises(ValueError, match="recipe: expected one that tells what its base rule misses, got 'x'"):
         piecewise(replace(RECIPE, name="x", missed=None), INet(RECIPE.config), batch, samples)
     deep = replace(RECIPE, config=replace(RECIPE.config, layers=2))
-    with pytest.raises(ValueError, match="recipe: expected a network that reads every token alone, got 2 layers"):
+    with pytest.raises(ValueError, match="recipe: expected layers that give an offset alone, in units of the row, got"):
         piecewise(deep, INet(deep.config), batch, samples)
 
 

@@ -53,7 +53,8 @@ def page(card: Card) -> str:
 def _what(card: Card) -> str:
     base = "plain weights, W = 1 (the paper's form)" if card.base == "uniform" else f"the rule `{card.base}`"
     where = ", only where that is in doubt" if card.config.doubtful_only else ""
-    return f"A network that corrects {base}{where}, for integrals of the problem `{card.problem}`."
+    how = " by an offset that is spread over them" if card.config.spread else ""
+    return f"A network that corrects {base}{where}{how}, for integrals of the problem `{card.problem}`."
 
 
 def _usual(card: Card) -> str:

@@ -20,7 +20,7 @@ from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
 
-__all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct", "doubt"]
+__all__ = ["INet", "INetConfig", "LearnedRule", "UniformWeights", "correct", "doubt", "least_change"]
 
 TILE_TOKENS = 256 * 32  # float32 products change with the batch size, so a network always sees this many tokens
 _LEAST_GROWTH = -30.0
@@ -44,6 +44,9 @@ class INetConfig:
         without the network having to hit it to that accuracy, and what h adds to an estimate is bounded.
     offset : bool
         Whether there is an offset head, in the row's unit.
+    spread : bool
+        The offset is not added: weights change as little as they can, in squares, to move the integral as far and to
+        keep constants. So the rule has weights alone, and yet a network can add what its tokens tell of an integral.
     unit_mass : bool
         Take the mean out of the correction, so that constants are integrated as by the base rule.
     doubtful_only : bool
@@ -71,7 +74,7 @@ class INetConfig:
     Raises
     ------
     ValueError
-        If samples without an order shall reach for their neighbours.
+        If an offset shall be spread that there is not, or samples without an order shall reach for their neighbours.
     """
 
     tokens: TokenConfig = field(default_factory=TokenConfig)
@@ -81,6 +84,7 @@ class INetConfig:
     expansion: int = 3
     weights: Literal["relative", "additive", "kept"] = "relative"
     offset: bool = False
+    spread: bool = False
     unit_mass: bool = False
     doubtful_only: bool = False
     beside: int = 0
@@ -92,6 +96,8 @@ class INetConfig:
     reach: int = 0
 
     def __post_init__(self) -> None:
+        if self.spread and not self.offset:
+            raise ValueError("spread: expected False for a network without an offset, got True")
         check.integer("reach", self.reach, low=0)
         if self.reach and self.tokens.dim != 1:
             raise ValueError(f"reach: expected 0 for samples in {self.tokens.dim} dimensions, got {self.reach}")
@@ -211,6 +217,8 @@ def correct(
             change = change - row_mean(weights - base.weights + change)[:, None]
         weights = weights + change
     shift = row_mean((parts.pop(0) * unit).sum(dim=2)) if config.offset else None  # (B, C)
+    if config.spread and shift is not None:
+        weights, shift = weights + least_change(shift, samples.value), None
     if config.beside:
         if extra is None or extra.beside is None:
             raise ValueError(f"extra: expected one that brings {config.beside} values beside each sample's, got none")
@@ -226,6 +234,33 @@ def correct(
     elif shift is not None:
         offset = shift
     return replace(base, weights=weights, offset=offset)
+
+
+def least_change(shift: Tensor, value: Tensor) -> Tensor:
+    """The smallest change of weights, in squares, that adds `shift` (B, C) to the integral and keeps constants.
+
+    Parameters
+    ----------
+    shift : Tensor, (B, C)
+        Added to the mean over N of the sum over T; nothing is where values do not vary.
+    value : Tensor, (B, N, T, C)
+        Values of the samples.
+
+    Returns
+    -------
+    Tensor, (B, N, T, C)
+
+    Examples
+    --------
+    >>> value = torch.tensor([1.0, 2.0, 6.0], dtype=torch.float64)[None, :, None, None]
+    >>> change = least_change(torch.tensor([[0.7]], dtype=torch.float64), value)
+    >>> round((change * value).mean().item(), 12), abs(change.mean().item()) < 1e-12
+    (0.7, True)
+    """
+    away = value - (row_mean(value.sum(dim=2)) / value.shape[2])[:, None, None]
+    square = row_mean(away.square().sum(dim=2))  # (B, C)
+    varies = square > 0.0
+    return torch.where(varies, shift / torch.where(varies, square, 1.0), 0.0)[:, None, None] * away
 
 
 def _gated(part: Tensor, own: Combination, base: Combination) -> Combination:

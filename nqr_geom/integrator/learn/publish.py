@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -148,6 +149,11 @@ def refit(recipe: Recipe | JointRecipe, folder: str | Path, seed: int = 0) -> Ca
     return card
 
 
+def _name(function: Callable[..., Any]) -> str:
+    """Where a function is defined."""
+    return f"{function.__module__}.{function.__qualname__}"
+
+
 def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, command: str = "") -> Card:
     """Make a model of a run's averaged weights; of joint training it holds both networks.
 
@@ -200,7 +206,8 @@ def publish(recipe: Recipe | JointRecipe, run: str | Path, folder: str | Path, c
         seed=trained["seed"],
         hours=round(state["seconds"] / 3600.0, 3),
         family={
-            "integrals": f"{rule.family.__module__}.{rule.family.__qualname__}",
+            "integrals": _name(rule.family),
+            **({} if rule.extra is None else {"tokens": _name(rule.extra.compute)}),
             "samples": {str(n): share for n, share in rule.sizes},
             "designs": list(rule.designs) if snet is None else ["the sampling network"],
             "splits": {"weights": "train", "box": "train", "shares": "validation", "table": "test"},

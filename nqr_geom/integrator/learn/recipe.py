@@ -89,8 +89,8 @@ class Recipe:
         Shares of the losses before and behind the link (Eq. 53); the identity link has only one.
     missed : callable, optional
         (batch, sorted samples of a training family) to what the base rule misses beside each sample, (B, N); together
-        that is its error. A network of 0 layers that only shifts the base in units of doubt, or only adds to its
-        weights, then learns from each of them instead of from their sum, in which the others are noise.
+        that is its error. A network that only shifts the base, or one of 0 layers that only adds to its weights, then
+        learns from each of them instead of from their sum, in which the others are noise.
     trusts : tuple of float
         Doubts of the consistent rule at which the network may count half of its share (`Card.trust`); the one with the
         least error on validation integrals is taken. 0: that is not asked.

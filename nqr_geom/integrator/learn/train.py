@@ -22,7 +22,7 @@ from nqr_geom.integrator.learn.inet import INet, INetConfig, correct, doubt, has
 from nqr_geom.integrator.learn.learner import Learner, Optimizer, learning_rate
 from nqr_geom.integrator.learn.recipe import Batch, Recipe, draw_samples, inner_answer, training_link
 from nqr_geom.integrator.learn.run import RunFolder
-from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
+from nqr_geom.integrator.learn.tokens import sort_samples, standard, tokenize
 from nqr_geom.integrator.problem import ExpLink, LogLink, Samples
 from nqr_geom.integrator.samplers import Sampler
 from nqr_geom.integrator.sums import row_mean
@@ -165,17 +165,29 @@ def robust(
     return (each if weight is None else each * weight[:, None]).mean()
 
 
-def piecewise(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
-    """Mean (robust) squared error of what the network says of every sample's own part, in units of its doubt.
+def _of_offset(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples, part: Tensor) -> Tensor:
+    """Mean (robust) squared error of an offset if what it leaves of one part (B, N) tells nothing of another one."""
+    config = recipe.config
+    if config.weights != "kept" or config.outputs != 1 or config.in_doubt:
+        raise ValueError(f"recipe: expected layers that give an offset alone, in units of the row, got {recipe.name!r}")
+    raw = net(tokenize(samples, config.tokens, recipe.extra).flatten(1, 2))[..., 0]  # (B, N)
+    said = raw * standard(samples.value, config.tokens)[1][:, 0, 0] / samples.n
+    each = _huber((said - part) / recipe.unit, recipe.huber).sum(dim=1)
+    return (each if batch.weight is None else each * batch.weight).mean()
 
-    A part counts by its doubt over that of its whole row. By the square of it, those that leave most would be all there
+
+def piecewise(recipe: Recipe, net: Callable[[Tensor], Tensor], batch: Batch, samples: Samples) -> Tensor:
+    """Mean (robust) squared error of what the network says of every sample's own part.
+
+    Attention layers give an offset, whose parts count as they are. Tokens that are read alone count in units of their
+    doubt, each by its doubt over that of its whole row. By the square of it, those that leave most would be all there
     is; by none, those that leave nothing. A network that changes weights has to be right where nothing is in doubt,
     too: the recipe's unit is added to every doubt, and one in `_OTHERS` of these parts is looked at, for all of them.
     """
     if recipe.missed is None:
         raise ValueError(f"recipe: expected one that tells what its base rule misses, got {recipe.name!r}")
     if recipe.config.layers:
-        raise ValueError(f"recipe: expected a network that reads every token alone, got {recipe.config.layers} layers")
+        return _of_offset(recipe, net, batch, samples, recipe.missed(batch, samples))
     size = doubt(samples, recipe.extra) / samples.n  # (B, N)
     chosen, counts, effect = size > 0.0, torch.ones_like(size), torch.ones_like(size)
     if not recipe.config.in_doubt:
