@@ -18,13 +18,12 @@ from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.sums import row_mean
 from nqr_geom.toy.family import PIECES, Shape
 from nqr_geom.toy.law import Law, fit, fit_pairs, stumpff
-from nqr_geom.toy.law_tokens import REACH, answered, continued, moved, pieces_of, seen, waves
+from nqr_geom.toy.law_tokens import REACH, answered, continued, in_wave, moved, pieces_of, seen, waves
 from nqr_geom.toy.tokens import CENTRED, TOY_TERMS, toy_terms
 
 __all__ = ["LAW_TERMS", "law_terms", "missed_by_mean"]
 
 _PLACES = 8  # in a gap
-_NONE = 1e-12
 _FAR = 4.0  # that a law is believed to lead away from its sample, in units of the row
 
 
@@ -54,7 +53,7 @@ def _breaks(v: Tensor, d: Tensor, law: Law, gaps: Tensor, hidden: Tensor) -> Ten
     left, right = continued(t, *before[:4]), continued(t - h, *after[:4])
     inner = ((gap > 0) & (gap < v.shape[1]))[:, None]
     value, _, wave, above, height = (part[:, None] for part in after[2:])
-    high = torch.where(wave, (right - value - above) / height.clamp_min(_NONE), 0.0).clamp(-2.0, 2.0)
+    high = in_wave(right, value, wave, above, height)
     parts = [left - before[2][:, None], (right - left) * inner, right - value, high]
     result = v.new_zeros(4, *gaps.shape, _PLACES)
     result[:, row, gap] = torch.stack(parts)

@@ -112,6 +112,11 @@ def continued(t: Tensor, alpha: Tensor, curvature: Tensor, value: Tensor, slope:
     return propagate(alpha, t, value, slope, curvature)[0]
 
 
+def in_wave(at: Tensor, value: Tensor, wave: Tensor, above: Tensor, height: Tensor) -> Tensor:
+    """Where in the wave of a sample with that value, as `waves` tells it, heights stand: -1 .. 1; 0 in no wave."""
+    return torch.where(wave, (at - value - above) / height.clamp_min(1e-12), 0.0).clamp(-2.0, 2.0)
+
+
 def _across(samples: Samples, law: Law) -> Tensor:
     """Both laws over the gap to the right of each sample, (B, N, 3 _NODES): their difference, the left one, and how
     high the right one stands if it is a wave, of its own height."""
@@ -124,10 +129,12 @@ def _across(samples: Samples, law: Law) -> Tensor:
     beyond = [moved(part, 1) for part in laws]
     left, right = continued(u * step, *laws[:4]), continued((u - 1.0) * step, *beyond[:4])
     _, _, value, _, wave, above, height = (part[..., None] for part in beyond)
-    high = torch.where(wave, (right - value - above) / height.clamp_min(1e-12), 0.0)
     jump = Shape().jump
     parts = [(right - left) / jump * there, (left - v[..., None]) / jump]
-    return torch.cat([*(part.clamp(-_LARGEST, _LARGEST).asinh() for part in parts), high.clamp(-2.0, 2.0)], dim=-1)
+    return torch.cat(
+        [*(part.clamp(-_LARGEST, _LARGEST).asinh() for part in parts), in_wave(right, value, wave, above, height)],
+        dim=-1,
+    )
 
 
 def _spread(v: Tensor) -> Tensor:

@@ -209,7 +209,7 @@ def train_jointly(
     def lesson(iteration: int, rows: Tensor) -> Tensor:
         batch, rollout = roll_out(recipe, snet, rows, recipe.rule.size(sizes, iteration), config)
         samples = sort_samples(rollout.samples)
-        with torch.set_grad_enabled(recipe.rule.missed is None):
+        with torch.set_grad_enabled(recipe.rule.missed is None):  # else the parts teach, and these only judge
             before, behind = residuals(recipe.rule, integrator.model, batch, samples)
         expected = expected_error(recipe.rule, samples)
         if recipe.rule.missed is None:
