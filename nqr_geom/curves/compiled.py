@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.keyed import mixed, unit, unsigned
+from nqr_geom.rows import over_rows, with_term
 
 __all__ = ["refined", "sampled"]
 
@@ -54,18 +54,6 @@ def _at(c, k, s):
     return x, y, tx, ty, piece
 
 
-@_inline
-def _with_term(f, i, total, squares, cubes, fourths):
-    """Mean, and sums of powers 2 to 4 of the deviations, with term number i (Pebay 2008)."""
-    step = f - total
-    part = step / (i + 1)
-    spread = step * (f - (total + part))
-    # Higher moments before the second is brought up to date.
-    fourths += part * (part * (spread * (i * i - i + 1) + 6.0 * squares) - 4.0 * cubes)
-    cubes += part * (spread * (i - 1) - 3.0 * squares)
-    return total + part, squares + spread, cubes, fourths
-
-
 @_kernel
 def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, moments, start, stop):
     for b in range(start, stop):
@@ -81,7 +69,7 @@ def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, mo
             x -= px
             y -= py
             f = (x * ty - y * tx) / (2.0 * math.pi * max(x * x + y * y, _TINY))
-            total, squares, cubes, fourths = _with_term(f, i, total, squares, cubes, fourths)
+            total, squares, cubes, fourths = with_term(f, i, total, squares, cubes, fourths)
         moments[0, b], moments[1, b], moments[2, b], moments[3, b] = total, squares, cubes, fourths
 
 

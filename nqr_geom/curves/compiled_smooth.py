@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
-from nqr_geom.curves.compiled import Floats, Ints, _at, _halves, _place, _reach, _sort, _through, _with_term
+from nqr_geom.curves.compiled import Floats, Ints, _at, _halves, _place, _reach, _sort, _through
 from nqr_geom.curves.gauss import BEND, BENT, COUNT, LONGEST, NODES, STRAIGHT, WEIGHTS, exponentials
 from nqr_geom.keyed import mixed, unit, unsigned
+from nqr_geom.rows import over_rows, with_term
 
 __all__ = ["rebuilt", "sampled"]
 
@@ -54,7 +54,7 @@ def _sample_rows(coefficients, pieces, shape, points, rows, key, n, jittered, al
         total, squares, cubes, fourths = 0.0, 0.0, 0.0, 0.0
         for i in range(n):
             f = math.exp(-alpha * (distance[i] - shift)) * speed[i]
-            total, squares, cubes, fourths = _with_term(f, i, total, squares, cubes, fourths)
+            total, squares, cubes, fourths = with_term(f, i, total, squares, cubes, fourths)
         moments[0, b], moments[1, b], moments[2, b], moments[3, b] = total, squares, cubes, fourths
         nearest[b] = shift
 

@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.curves.compiled import Floats, Ints, _at
 from nqr_geom.curves.compiled_student import _layer, _linear, _log, _outputs
+from nqr_geom.rows import over_rows
 
 __all__ = ["LANES", "Weights", "placed"]
 

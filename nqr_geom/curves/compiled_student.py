@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.curves.compiled import _LEVELS, Floats, Ints, _at, _rebuilt, _sort
 from nqr_geom.keyed import mixed, unit, unsigned
+from nqr_geom.rows import over_rows
 
 __all__ = ["Estimated", "Layers", "estimated"]
 

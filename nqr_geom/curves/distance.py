@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
-from nqr_geom.curves._rows import over_rows, spatial_order
 from nqr_geom.curves.closest import closest_rows
-from nqr_geom.curves.tree import CurveTree, tree_of
+from nqr_geom.curves.tree import CurveTree, spatial_order, tree_of
 from nqr_geom.curves.winding import gwn
+from nqr_geom.rows import over_rows
 
 if TYPE_CHECKING:
     from nqr_geom.curves.curve import Curve

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.curves.distance import distances, search
 from nqr_geom.curves.exponential import exponential_rows
 from nqr_geom.curves.tree import tree_of
+from nqr_geom.rows import over_rows
 
 if TYPE_CHECKING:
     from nqr_geom.curves.curve import Curve

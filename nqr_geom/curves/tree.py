@@ -33,7 +33,7 @@ from nqr_geom.curves import bezier
 if TYPE_CHECKING:
     from nqr_geom.curves.curve import Curve
 
-__all__ = ["Arcs", "CurveTree", "Nodes", "tree_of"]
+__all__ = ["Arcs", "CurveTree", "Nodes", "spatial_order", "tree_of"]
 
 RUN, MIXED = -1, -2  # what an inner node is; a leaf holds the index of its arc
 
@@ -224,6 +224,13 @@ def morton(points: NDArray[np.float64]) -> NDArray[np.uint64]:
     for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
         cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
     return cell[:, 0] | (cell[:, 1] << np.uint64(1))
+
+
+def spatial_order(points: NDArray[np.float64], nodes: int) -> NDArray[np.int64] | None:
+    """An order of the queries along a Morton curve where it pays: many queries, a tree larger than the cache."""
+    if nodes < 20_000 or len(points) < 1_000:
+        return None
+    return np.argsort(morton(points))
 
 
 Cut = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.int64]]  # where to split ranges (low, high)

@@ -25,8 +25,8 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
-from nqr_geom.curves._rows import over_rows, spatial_order
-from nqr_geom.curves.tree import MIXED, tree_of
+from nqr_geom.curves.tree import MIXED, spatial_order, tree_of
+from nqr_geom.rows import over_rows
 
 if TYPE_CHECKING:
     from nqr_geom.curves.curve import Curve

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema
+from nqr_geom.integrator.problem import Feature, Observation, Problem, Schema, Whole
+from nqr_geom.integrator.rules import MonteCarlo, Trapezoid
+from nqr_geom.integrator.samplers import Grid, Random, Stratified
 from nqr_geom.streams import Stream
 from nqr_geom.toy.family import PIECES, Pieces, draw
+from nqr_geom.toy.split import ToySplit
+from nqr_geom.toy.structured import ToyHermite
 
 __all__ = ["ToyProblem"]
+
+_DESIGNS: dict[type, int] = {Random: 0, Stratified: 1, Grid: 2, ToySplit: 3}  # as kernels know them
 
 
 class ToyProblem(Problem):
@@ -84,6 +92,34 @@ class ToyProblem(Problem):
         value, derivative, piece = self.pieces.evaluate(x[..., 0])
         features = {"derivative": derivative[..., None, None], "piece": piece[..., None, None]}
         return Observation(value[..., None, None], features, queries=value.numel())
+
+    def compiled(self, sampler: object, rule: object, n: int) -> Callable[[Stream], Whole] | None:
+        """Plain Monte Carlo, the trapezoidal and the structured rule on four kinds of samples, on a CPU."""
+        split = sampler if type(sampler) is ToySplit else None
+        rebuilt = rule if type(rule) is ToyHermite else None
+        average = type(rule) is MonteCarlo and type(sampler) in (Random, Stratified)
+        placed = type(sampler) in _DESIGNS and (rebuilt is not None or type(rule) is Trapezoid)
+        if self.rows.device.type != "cpu" or not (average or placed):
+            return None
+
+        def whole(stream: Stream) -> Whole:
+            from nqr_geom.toy import compiled
+
+            of = self.pieces
+            laws = torch.stack([of.value, of.slope, of.curvature, of.alpha], dim=2).numpy()
+            given = of.edges.contiguous().numpy(), laws, self.rows.numpy(), stream.key, n, _DESIGNS[type(sampler)]
+            nowhere, queries = torch.zeros(self.batch, dtype=torch.bool), self.batch * n
+            if average:
+                mean, m2, m3, m4 = torch.from_numpy(compiled.averaged(*given))[..., None]
+                if type(sampler) is Stratified or n == 1:
+                    return Whole(mean, nowhere, queries)
+                return Whole(mean, nowhere, queries, m2, m3=m3, m4=m4)
+            first, jump = (split.first, split.shape.jump) if split else (0, 0.0)
+            known = (rebuilt.reach, rebuilt.shape) if rebuilt else None
+            value = compiled.combined(*given, first, jump, known)
+            return Whole(torch.from_numpy(value)[:, None], nowhere, queries)
+
+        return whole
 
     def take(self, index: slice | Tensor) -> ToyProblem:
         return ToyProblem(self.rows[index], self.seed, self.split, self.pieces.take(index))

@@ -198,7 +198,7 @@ class ToyHermite(Rule):
         chance = torch.softmax(-0.5 * jump * jump, dim=1)
         one = 1.0 - (chance.cumsum(dim=1) - 0.5 * chance)
         # Several: order statistics of uniform breaks that leave room for the pieces between them.
-        room = 1.0 - self.shape.shortest * (breaks - 1) / h.clamp_min(1e-300)
+        room = 1.0 - self.shape.shortest * ((breaks - 1) / h.clamp_min(1e-300))  # integers times a float are float32
         stretch = 1.0 / room.clamp(0.05, 1.0)
         first = (1.0 - stretch * u).clamp_min(0.0) ** breaks
         last = (1.0 - stretch * (1.0 - u)).clamp_min(0.0) ** breaks

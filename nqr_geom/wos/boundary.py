@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
-from nqr_geom.curves._rows import over_rows
+from nqr_geom.rows import over_rows
 from nqr_geom.wos.corner import Corner, corner_alone, nodes_for, rule_of
 from nqr_geom.wos.domain import Boundary, Domain
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nqr_geom import check
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.curves.curve import Curve
+from nqr_geom.rows import over_rows
 
 if TYPE_CHECKING:
     from nqr_geom.wos.nearest import Nearest

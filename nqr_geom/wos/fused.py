@@ -15,12 +15,12 @@ import torch
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Whole
 from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.integrator.samplers import LatinHypercube, Random, Sampler
 from nqr_geom.integrator.sums import power_sums, row_mean
 from nqr_geom.keyed import mixed, unit, unsigned
+from nqr_geom.rows import over_rows
 from nqr_geom.streams import Stream
 from nqr_geom.wos.average import average, room_for
 from nqr_geom.wos.domain import evaluated

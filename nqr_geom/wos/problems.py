@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from nqr_geom import check
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Feature, Observation, Schema, WalkProblem, Whole
+from nqr_geom.rows import over_rows
 from nqr_geom.streams import Stream
 from nqr_geom.wos.boundary import solve
 from nqr_geom.wos.domain import Boundary, Domain

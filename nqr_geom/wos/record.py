@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
+from nqr_geom.rows import over_rows
 from nqr_geom.wos.nearest import BINS, Nearest, nearest, nearest_of_all
 
 __all__ = ["ALIVE", "SEEN", "VALUE", "Record", "record"]

@@ -10,9 +10,9 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.learn.steps import Look, Walks
 from nqr_geom.integrator.problem import Observation, WalkProblem
+from nqr_geom.rows import over_rows
 from nqr_geom.wos.explore import AVOID, UNIFORM, directions, table_of
 from nqr_geom.wos.problems import LaplaceProblem, WalkState
 

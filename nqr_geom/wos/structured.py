@@ -21,10 +21,10 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.sums import row_mean
+from nqr_geom.rows import over_rows
 from nqr_geom.wos.average import average, room_for
 from nqr_geom.wos.explore import NUMBERS
 from nqr_geom.wos.record import ALIVE, SEEN

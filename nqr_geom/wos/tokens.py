@@ -15,9 +15,9 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.integrator.learn.tokens import Extra
 from nqr_geom.integrator.problem import Samples
+from nqr_geom.rows import over_rows
 
 __all__ = ["WALK_TOKENS", "boundary_values", "reach", "unknown", "walk_tokens"]
 

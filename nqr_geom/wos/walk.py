@@ -21,8 +21,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from nqr_geom.curves._rows import over_rows
 from nqr_geom.keyed import mixed, unit, unsigned
+from nqr_geom.rows import over_rows
 from nqr_geom.streams import Stream
 from nqr_geom.wos.nearest import BINS, Nearest, nearest
 

@@ -130,10 +130,29 @@ def test_a_pair_begins_with_a_trained_integrator(tmp_path: Path) -> None:
     begun, _ = run(tmp_path / "pair", replace(SHORT, iterations=1, rate=1e-30), start_from=tmp_path / "rule")
     for a, b in zip(net.parameters(), begun.parameters(), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-9)
-    with pytest.raises(ValueError, match="start_from: expected a run of 'steps', found one of 'steps-nqr'"):
-        run(tmp_path / "other", SHORT, start_from=tmp_path / "pair")
+    other = replace(PAIR, rule=replace(RULE, name="other-nqr"), begin="other")
+    with pytest.raises(ValueError, match="start_from: expected a run of 'other' or 'other-nqr', found one of 'steps'"):
+        train_jointly(other, tmp_path / "other", SHORT, start_from=tmp_path / "rule", progress=False)
     with pytest.raises(ValueError, match="start_from: expected a folder with a checkpoint"):
         run(tmp_path / "none", SHORT, start_from=tmp_path / "nowhere")
+
+
+def test_a_pair_begins_with_both_networks_of_another_run_of_it(tmp_path: Path) -> None:
+    first = run(tmp_path / "first", replace(SHORT, rate=1e-2))
+    still = replace(SHORT, iterations=1, batch=8, group=2, rate=1e-30, sampler_rate=1e-30, seed=1)
+    second = run(tmp_path / "second", still, start_from=tmp_path / "first")
+    for one, two in zip(first, second, strict=True):
+        for a, b in zip(one.parameters(), two.parameters(), strict=True):
+            torch.testing.assert_close(a, b, rtol=1e-6, atol=1e-9)
+
+
+def test_a_sampler_without_a_rate_stays_as_it_is(tmp_path: Path) -> None:
+    early, late = (
+        run(tmp_path / str(n), replace(SHORT, iterations=n, sampler_rate=0.0)) for n in (1, SHORT.iterations)
+    )
+    for changes, net, other in zip((True, False), early, late, strict=True):
+        weights = zip(net.parameters(), other.parameters(), strict=True)
+        assert any((a != b).any() for a, b in weights) == changes
 
 
 def test_a_gate_that_the_run_before_lacks_begins_shut(tmp_path: Path) -> None:
@@ -190,4 +209,4 @@ def test_bad_lengths_are_named() -> None:
     with pytest.raises(ValueError, match="group"):
         JointConfig(iterations=1, group=1)
     with pytest.raises(ValueError, match="sampler_rate"):
-        JointConfig(iterations=1, sampler_rate=0.0)
+        JointConfig(iterations=1, sampler_rate=-1.0)

@@ -96,7 +96,7 @@ class JointConfig(TrainConfig):
     batch, group : int
         Integrals an iteration (over all devices) and sequences for each.
     rate, sampler_rate : float
-        Highest learning rates of the integrator and of the sampler.
+        Highest learning rates of the integrator and of the sampler; with 0 the sampler stays as it is.
     """
 
     batch: int = 32
@@ -111,7 +111,7 @@ class JointConfig(TrainConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         check.integer("group", self.group, low=2)
-        check.number("sampler_rate", self.sampler_rate, low=0.0, open_low=True)
+        check.number("sampler_rate", self.sampler_rate, low=0.0)
 
 
 def advantages(error: Tensor) -> Tensor:
@@ -175,7 +175,8 @@ def train_jointly(
     config : JointConfig
         How long and how fast. A continuation may change the length and the rates, not batch, group, seed or optimiser.
     start_from : path, optional
-        Run of the recipe `recipe.begin`: a new run begins with its averaged network.
+        Run of the recipe `recipe.begin`: a new run begins with its averaged network. Or one of this pair, perhaps with
+        another batch, group or optimiser: a new run begins with both its averaged networks.
     devices, num_nodes, accelerator, precision
         As for `lightning_fabric.Fabric`; by default in bfloat16 where the hardware has it and the integrator
         has attention layers.
@@ -190,7 +191,8 @@ def train_jointly(
     Raises
     ------
     ValueError
-        If the folder holds a run of another recipe, batch, group or seed, or `start_from` none of `recipe.begin`.
+        If the folder holds a run of another recipe, batch, group or seed, or `start_from` none of `recipe.begin` or of
+        the pair.
     """
     fabric = launch(recipe.rule.config, devices, num_nodes, accelerator, precision)
     run = RunFolder(Path(out))
@@ -199,7 +201,7 @@ def train_jointly(
         inet, snet = INet(recipe.rule.config), recipe.snet()
     base = validate(recipe, recipe.snet(), registry.make("rule", recipe.rule.consistent), config)
     if start_from is not None:
-        _adopt(inet, RunFolder(Path(start_from)), recipe.begin, recipe.heads)
+        _adopt(inet, snet, RunFolder(Path(start_from)), recipe)
     common: dict[str, Any] = {"weight_decay": config.weight_decay, "keep": config.average, "clip": config.clip}
     common["optimizer"] = config.optimizer
     integrator = Learner(fabric, inet, INet(recipe.rule.config), config.rate, **common)
@@ -218,6 +220,8 @@ def train_jointly(
             value = piecewise(recipe.rule, integrator.model, batch, samples)
         rate = learning_rate(config, iteration)
         integrator.step(alike(recipe.rule, value, fabric), rate, iteration)
+        if config.sampler_rate == 0.0:
+            return value
         outcome = (before if behind is None else behind).detach().square().mean(dim=1)
         if expected is not None:  # what is expected of the samples says the same with less noise, if it is right
             outcome = 0.5 * (outcome + expected[:, 0])
@@ -237,22 +241,27 @@ def train_jointly(
     return integrator.average, sampler.average
 
 
-def _adopt(net: INet, run: RunFolder, name: str, heads: bool) -> None:
-    """Take over the averaged weights of a run, with or without the heads; a gate that it lacks begins shut."""
+def _adopt(inet: INet, snet: SNet, run: RunFolder, recipe: JointRecipe) -> None:
+    """Take over averaged weights: those of the pair, or the integrator's alone, with or without its heads.
+
+    A gate that it lacks begins shut.
+    """
     if not run.checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(run.checkpoint.parent)!r}")
     state = torch.load(run.checkpoint, weights_only=True)
     identity = json.loads(state["identity"])
     found = identity["recipe"]
-    if found != name:
-        raise ValueError(f"start_from: expected a run of {name!r}, found one of {found!r}")
     weights = state["average"]
-    if not heads:
-        weights |= {key: tensor for key, tensor in net.state_dict().items() if key.startswith("head.")}
-    elif net.config.gated and not identity["config"].get("gated"):
+    if found == recipe.name:
+        snet.load_state_dict(state["sampler"]["average"])
+    elif found != recipe.begin:
+        raise ValueError(f"start_from: expected a run of {recipe.begin!r} or {recipe.name!r}, found one of {found!r}")
+    elif not recipe.heads:
+        weights |= {key: tensor for key, tensor in inet.state_dict().items() if key.startswith("head.")}
+    elif inet.config.gated and not identity["config"].get("gated"):
         for key in ("head.weight", "head.bias"):
             weights[key] = torch.cat([weights[key], torch.zeros_like(weights[key][:1])])
-    net.load_state_dict(weights)
+    inet.load_state_dict(weights)
 
 
 def _identity(recipe: JointRecipe, config: JointConfig) -> dict[str, Any]:

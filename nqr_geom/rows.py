@@ -1,4 +1,4 @@
-"""Run a compiled kernel over rows of queries on all cores the process may use."""
+"""Run a compiled kernel over rows of a batch on all cores the process may use, and sum up what it sees in a row."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
-from nqr_geom.curves.tree import morton
 from nqr_geom.machine import cores
 
-__all__ = ["over_rows", "spatial_order"]
+__all__ = ["over_rows", "with_term"]
 
 _ROWS_A_CHUNK = 1024  # about 0.2 ms and more of work: far above the cost of handing a chunk to a thread
 
@@ -35,8 +34,13 @@ def over_rows(kernel: Callable[[int, int], None], count: int) -> None:
         list(pool.map(kernel, edges[1:-1].tolist(), edges[2:].tolist()))
 
 
-def spatial_order(points: NDArray[np.float64], nodes: int) -> NDArray[np.int64] | None:
-    """An order of the queries along a Morton curve where it pays: many queries, a tree larger than the cache."""
-    if nodes < 20_000 or len(points) < 1_000:
-        return None
-    return np.argsort(morton(points))
+@njit(inline="always", error_model="numpy")
+def with_term(f, i, total, squares, cubes, fourths):  # type: ignore[no-untyped-def]
+    """Mean, and sums of powers 2 to 4 of the deviations, with term number i (Pebay 2008)."""
+    step = f - total
+    part = step / (i + 1)
+    spread = step * (f - (total + part))
+    # Higher moments before the second is brought up to date.
+    fourths += part * (part * (spread * (i * i - i + 1) + 6.0 * squares) - 4.0 * cubes)
+    cubes += part * (spread * (i - 1) - 3.0 * squares)
+    return total + part, squares + spread, cubes, fourths
