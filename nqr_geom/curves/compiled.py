@@ -100,6 +100,13 @@ def sampled(
 
 
 @_inline
+def _norm(x, y):
+    """Length of a vector, fast where no square is out of range."""
+    most = max(abs(x), abs(y))
+    return math.sqrt(x * x + y * y) if 1e-140 < most < 1e140 else math.hypot(x, y)
+
+
+@_inline
 def _miss(s0, s1, s, a, b, m, r, t):
     """Errors of the cubics left and right of sample m, from how far the one from a to b missed it."""
     h = s1 - s0
@@ -135,12 +142,17 @@ def _place(c, k, px, py, row, n, spread, end, s, r, t, piece, left, right, gain)
             x, y, t[i, 0], t[i, 1], piece[i] = _at(c, k, s[i])
             r[i, 0], r[i, 1] = x - px, y - py
         a, b = 2 * j, 2 * j + 1
+        if n == 2 * k:
+            continue  # no gap will be cut
         left[j], right[j] = a, b
-        length = 0.5 * (math.hypot(t[a, 0], t[a, 1]) + math.hypot(t[b, 0], t[b, 1])) * (s[b] - s[a])
+        length = 0.5 * (_norm(t[a, 0], t[a, 1]) + _norm(t[b, 0], t[b, 1])) * (s[b] - s[a])
         gain[j] = _gain(s[a], s[b], a, b, length, r, t)
     used = k
     for i in range(2 * k, n):
-        chosen = np.argmax(gain[:used])
+        chosen = 0
+        for g in range(1, used):
+            if gain[g] > gain[chosen]:
+                chosen = g
         a, b = left[chosen], right[chosen]
         cut = 0.5 + spread * (unit(mixed(row, i)) - 0.5)
         s[i] = s[a] * (1.0 - cut) + s[b] * cut
@@ -178,6 +190,22 @@ def _turn(x0, y0, x3, y3):
     if up0:
         return 1 if cross > 0.0 else 0
     return -1 if cross < 0.0 else 0
+
+
+@_function
+def _between(x0, y0, x1, y1):
+    """The angle of one point minus that of another, each in (-pi, pi]; without arc tangents where they are close."""
+    cross, dot = x0 * y1 - y0 * x1, x0 * x1 + y0 * y1
+    size = abs(cross) + abs(dot)
+    if not 1e-280 < size < 1e280 or (cross == 0.0 and dot < 0.0):
+        return math.atan2(y1 + 0.0, x1) - math.atan2(y0 + 0.0, x0)
+    if abs(cross) < 1e-4 * dot:
+        tangent = cross / dot
+        square = tangent * tangent
+        short = tangent * (1.0 - square * (1.0 / 3.0 - 0.2 * square))
+    else:
+        short = math.atan2(cross, dot)
+    return short - 2.0 * math.pi * _turn(x0, y0, x1, y1)
 
 
 @_inline
@@ -224,10 +252,10 @@ def _descend(q, error, stack, levels):
 
 
 @_inline
-def _terms(r0, r1, t0, t1, gap):
-    """Coefficients c2 and c3 of one coordinate of the cubic through a neighbour at signed distance `gap`."""
-    mean = (r1 - r0) / gap
-    return (3.0 * mean - 2.0 * t0 - t1) / gap, (t0 + t1 - 2.0 * mean) / (gap * gap)
+def _terms(r0, r1, t0, t1, rate):
+    """Coefficients c2 and c3 of one coordinate of the cubic through a neighbour at signed distance 1 / `rate`."""
+    mean = (r1 - r0) * rate
+    return (3.0 * mean - 2.0 * t0 - t1) * rate, (t0 + t1 - 2.0 * mean) * rate * rate
 
 
 @_function
@@ -237,14 +265,15 @@ def _reach(s, r, t, i, j, to):
     Written from i outwards.
     """
     u = to - s[i]
+    gap = s[j] - s[i] if j >= 0 else 0.0
     c2x = c2y = c3x = c3y = 0.0
-    if j >= 0:
-        gap = s[j] - s[i]
-        c2x, c3x = _terms(r[i, 0], r[j, 0], t[i, 0], t[j, 0], gap)
-        c2y, c3y = _terms(r[i, 1], r[j, 1], t[i, 1], t[j, 1], gap)
-        pace = math.hypot(t[i, 0], t[i, 1]) + math.hypot(t[j, 0], t[j, 1])
-        quadratic = math.hypot(c3x, c3y) * gap * gap <= _QUADRATIC * pace
-        far = abs(u / gap)
+    if abs(u) > 1e-9 * abs(gap) and j >= 0:  # nearer, bends are below rounding
+        rate = 1.0 / gap
+        c2x, c3x = _terms(r[i, 0], r[j, 0], t[i, 0], t[j, 0], rate)
+        c2y, c3y = _terms(r[i, 1], r[j, 1], t[i, 1], t[j, 1], rate)
+        pace = _norm(t[i, 0], t[i, 1]) + _norm(t[j, 0], t[j, 1])
+        quadratic = _norm(c3x, c3y) * gap * gap <= _QUADRATIC * pace
+        far = abs(u * rate)
         if quadratic or far > 1.0:
             c3x = c3y = 0.0
         if not quadratic and far > 3.0:
@@ -253,7 +282,7 @@ def _reach(s, r, t, i, j, to):
     ey = r[i, 1] + u * (t[i, 1] + u * (c2y + u * c3y))
     sx = t[i, 0] + u * (2.0 * c2x + u * (3.0 * c3x))
     sy = t[i, 1] + u * (2.0 * c2y + u * (3.0 * c3y))
-    third = u / 3.0
+    third = u * (1.0 / 3.0)
     return (
         r[i, 0], r[i, 1], r[i, 0] + third * t[i, 0], r[i, 1] + third * t[i, 1],
         ex - third * sx, ey - third * sy, ex, ey,
@@ -285,7 +314,8 @@ def _gap_error(s, r, t, piece, order, g):
     if error >= 0.0:
         return error
     gap = s[b] - s[a]
-    cx, cy = _terms(r[a, 0], r[b, 0], t[a, 0], t[b, 0], gap)[1], _terms(r[a, 1], r[b, 1], t[a, 1], t[b, 1], gap)[1]
+    rate = 1.0 / gap
+    cx, cy = _terms(r[a, 0], r[b, 0], t[a, 0], t[b, 0], rate)[1], _terms(r[a, 1], r[b, 1], t[a, 1], t[b, 1], rate)[1]
     cubic = math.hypot(cx, cy) * gap * gap
     pace = math.hypot(t[a, 0], t[a, 1]) + math.hypot(t[b, 0], t[b, 1])
     return cubic * gap / 4.0 if cubic > _QUADRATIC * pace else 0.0
@@ -300,14 +330,14 @@ def _rebuilt(s, r, t, piece, k, order, stack, levels):
     """
     n = len(s)
     total, turns, seen, run, doubtful = 0.0, 0, 0, 0, False
+    start_x, start_y, end_x, end_y = 0.0, 0.0, 0.0, 0.0
     for g in range(n):
         i = order[g]
         first = g == 0 or piece[order[g - 1]] != piece[i]
         last = g == n - 1 or piece[order[g + 1]] != piece[i]
         after = not last and s[order[g + 1]] > s[i]
-        low, high = piece[i] / k, (piece[i] + 1) / k
         if first:
-            run = 0
+            run, low = 0, piece[i] / k
             x, y = r[i, 0], r[i, 1]
             if s[i] > low:
                 q = _reach(s, r, t, i, order[g + 1] if after else -1, low)
@@ -319,7 +349,11 @@ def _rebuilt(s, r, t, piece, k, order, stack, levels):
                     doubtful |= doubt
                 else:
                     turns += _turn(x, y, r[i, 0], r[i, 1])
-            total -= math.atan2(y + 0.0, x)
+            # Where a piece ends the next one begins, if both are seen and the curve has no gap there.
+            if g > 0:
+                total += _between(x, y, end_x, end_y)
+            else:
+                start_x, start_y = x, y
         run += 1
         if after:
             j = order[g + 1]
@@ -331,6 +365,7 @@ def _rebuilt(s, r, t, piece, k, order, stack, levels):
             else:
                 turns += _turn(q[0], q[1], q[6], q[7])
         if last:
+            high = (piece[i] + 1) / k
             x, y = r[i, 0], r[i, 1]
             if s[i] < high:
                 before = not first and s[i] > s[order[g - 1]]
@@ -344,8 +379,9 @@ def _rebuilt(s, r, t, piece, k, order, stack, levels):
                     doubtful |= doubt
                 else:
                     turns += _turn(r[i, 0], r[i, 1], x, y)
-            total += math.atan2(y + 0.0, x)
+            end_x, end_y = x, y
             seen += run >= 2
+    total += _between(start_x, start_y, end_x, end_y)
     return total / (2.0 * math.pi) + turns, doubtful or seen < k
 
 

@@ -69,6 +69,31 @@ def test_monte_carlo(sampler: Random | Stratified, n: int) -> None:
     assert fast.counts == slow.counts
 
 
+AXES = np.array(
+    [[1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1], [0, 0], [-1, -1e-17], [-1, 1e-17]]
+)
+
+
+@pytest.mark.parametrize("kind", ["anywhere", "axes", "half turns and hardly less", "of any size", "close"])
+def test_angles_between_points(kind: str) -> None:
+    generator = np.random.default_rng(5)
+    one, two = generator.normal(size=(2, 3000, 2))
+    if kind == "axes":
+        one, two = AXES[generator.integers(len(AXES), size=(2, 3000))].astype(np.float64)
+    elif kind == "half turns and hardly less":
+        one[:, 0] = two[:, 0] = -1.0
+        one[:, 1], two[:, 1] = generator.choice([0.0, -0.0, 1e-16, -1e-16, 1e-300, -1e-300], size=(2, 3000))
+    elif kind == "of any size":
+        one, two = (
+            np.tanh(p) * generator.choice([1.7e308, 1e200, 1.0, 1e-200, 1e-310], size=(3000, 1)) for p in (one, two)
+        )
+    elif kind == "close":
+        two = one * (1.0 + 10.0 ** generator.uniform(-17, -3, (3000, 2)))
+    expected = np.arctan2(two[:, 1] + 0.0, two[:, 0]) - np.arctan2(one[:, 1] + 0.0, one[:, 0])
+    found = [compiled._between(*a, *b) for a, b in zip(one, two, strict=True)]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=2e-15)
+
+
 def cubics(seed: int, pieces: int) -> ng.Curve:
     return ng.Curve.bezier(np.random.default_rng(seed).uniform(-1, 1, (pieces, 4, 2)))
 
@@ -94,7 +119,7 @@ def test_curves_through_the_query_and_degenerate_ones() -> None:
         ng.Curve.polyline([[0.5, 0.5], [0.5, 0.5], [0.5, 0.5], [0.5, 0.5], [0.5, 0.5]]),
         ng.Curve.polyline([[0, 0], [0, 0], [1, 0], [1, 0], [0, 0]]),
     ]
-    points = [[0.5, 0.0], [0.0, 0.0], [0.5, 0.5], [0.25, 1e-12], [1.0, 1.0]]
+    points = [[0.5, 0.0], [0.0, 0.0], [0.5, 0.5], [0.25, 1e-12], [1.0, 1.0], [2.0, 0.0], [3.0, 1.0]]
     problem = GwnProblem.of(shapes, points)
     for n in (8, 32, 100):
         fast = run(problem, CurveRefine(), GwnHermite(), n)
