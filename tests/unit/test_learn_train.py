@@ -165,6 +165,9 @@ def test_a_run_may_start_from_another(tmp_path: Path) -> None:
     )
     for (name, a), b in zip(first.named_parameters(), second.parameters(), strict=True):
         np.testing.assert_allclose(b.detach(), 0.0 if name.startswith("head.") else a.detach(), atol=1e-20)
+    again = train(TINY, tmp_path / "again", replace(no_step, batch=8), start_from=tmp_path / "first", progress=False)
+    for a, b in zip(first.parameters(), again.parameters(), strict=True):  # heads included
+        np.testing.assert_allclose(b.detach(), a.detach(), rtol=1e-6, atol=1e-9)
     wide = replace(TINY, config=replace(TINY.config, width=32))
     with pytest.raises(ValueError, match="start_from: expected a run of the same tokens, layers and width"):
         train(wide, tmp_path / "third", no_step, start_from=tmp_path / "first", progress=False)
@@ -363,4 +366,7 @@ def test_the_command_line_trains_and_publishes(
     assert f"name: expected one of {', '.join(sorted([*RECIPES, *JOINT]))}, got 'nothing'" in capsys.readouterr().err
     pair = str(tmp_path / "pair")
     assert main(["train", "toy-nqr", "--out", pair, "--iterations", "1", "--batch", "2", "--start-from", out]) == 2
-    assert "start_from: expected a run of 'toy-structured', found one of 'toy-uniform'" in capsys.readouterr().err
+    assert (
+        "start_from: expected a run of 'toy-structured' or 'toy-nqr', found one of 'toy-uniform'"
+        in capsys.readouterr().err
+    )

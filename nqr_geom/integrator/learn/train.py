@@ -261,7 +261,8 @@ def train(
         How long and how fast. A continuation may change the length and the rates, not batch, seed or optimiser.
     start_from : path, optional
         Run of another recipe with the same layers, width and tokens, or with fewer of the application's quantities: a
-        new run begins with its averaged weights, the heads aside, which always start as the base rule.
+        new run begins with its averaged weights, the heads aside, which start as the base rule. Those of a run of the
+        same recipe, perhaps with another batch or optimiser, are taken over, too.
     devices, num_nodes, accelerator, precision
         As for `lightning_fabric.Fabric`; by default attention layers work in bfloat16 where the hardware does so.
     progress : bool
@@ -283,7 +284,7 @@ def train(
         torch.manual_seed(config.seed)
         net = INet(recipe.config)
     if start_from is not None:
-        _adopt(net, RunFolder(Path(start_from)).checkpoint)
+        _adopt(net, RunFolder(Path(start_from)).checkpoint, recipe.name)
     learner = Learner(
         fabric,
         net,
@@ -389,20 +390,21 @@ def launch(config: INetConfig, devices: int, num_nodes: int, accelerator: str, p
     return fabric
 
 
-def _adopt(net: INet, checkpoint: Path) -> None:
-    """Copy everything but the heads from another run; token quantities beyond its own start with weight zero."""
+def _adopt(net: INet, checkpoint: Path, name: str) -> None:
+    """Copy another run, but for the heads of another recipe; token quantities beyond its own start with weight zero."""
     if not checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(checkpoint.parent)!r}")
-    weights = torch.load(checkpoint, weights_only=True)["average"]
-    own = {name: tensor for name, tensor in net.state_dict().items() if not name.startswith("head.")}
+    state = torch.load(checkpoint, weights_only=True)
+    weights, same = state["average"], json.loads(state["identity"])["recipe"] == name
+    own = {key: tensor for key, tensor in net.state_dict().items() if same or not key.startswith("head.")}
     wide = own["embed_in.weight"]
     known = weights.get("embed_in.weight", wide)
     if known.shape[0] == wide.shape[0] and known.shape[1] < wide.shape[1]:
         weights["embed_in.weight"] = torch.nn.functional.pad(known, (0, wide.shape[1] - known.shape[1]))
-    wrong = [name for name, tensor in own.items() if name not in weights or weights[name].shape != tensor.shape]
+    wrong = [key for key, tensor in own.items() if key not in weights or weights[key].shape != tensor.shape]
     if wrong:
         raise ValueError(f"start_from: expected a run of the same tokens, layers and width, these differ: {wrong}")
-    net.load_state_dict({name: weights[name] for name in own}, strict=False)
+    net.load_state_dict({key: weights[key] for key in own}, strict=False)
 
 
 def identity(recipe: Recipe, config: TrainConfig) -> dict[str, Any]:
