@@ -6,7 +6,8 @@ Times are processor seconds on one thread, which a busy machine does not stretch
 numbers of integrals and samples, and a few named terms are fitted to them. Errors are measured on the random families,
 split "validation", which no test and no training meets: median and 95% quantile of the absolute error over queries, in
 the units of `Goal.scale`. "factor" is what a bound that a run states of itself has to be multiplied with so that 97 in
-100 hold, "bound" the 95% quantile of what comes out. With --errors times stay as they were measured before.
+100 hold, "bound" the 95% quantile of what comes out. With --errors times stay as they were measured before; with --only
+new ones are told in seconds of the machine that the others were measured on.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import torch
 
 from nqr_geom.files import write_whole
 from nqr_geom.integrator.bounds import bound_of_samples, bound_of_values
-from nqr_geom.integrator.models import Cost
+from nqr_geom.integrator.models import TERMS, Cost
 from nqr_geom.integrator.plan import Way, sizes_of
 from nqr_geom.integrator.pursue import _joined
 from nqr_geom.machine import cores, machine, versions
@@ -152,7 +153,7 @@ def main() -> None:
     whole: dict[str, Any] = {"models": {}}
     if (options.only or options.errors) and options.out.exists():
         whole = json.loads(options.out.read_text())
-    models = whole["models"]
+    models, now, kept = whole["models"], measured(), whole.get("speed")
     for name in names:
         start, cases = time.perf_counter(), problems.cases(name, "validation")
         for method, study in problems.STUDIES[name].items():
@@ -162,10 +163,13 @@ def main() -> None:
                 models[key] = sampled(name, cases, method, **study, before=before)
             elif not options.errors:
                 models[key] = solved(name, cases, method, **study)
+            if kept is not None and not options.errors:  # in seconds of the machine that the other rows are from
+                cost = models[key]["cost"]
+                models[key]["cost"] = {k: rounded(v * kept[TERMS[k]] / now[TERMS[k]], 1e-30) for k, v in cost.items()}
         print(f"  {name}: {time.perf_counter() - start:.0f} s", flush=True)
-        if not options.errors:
+        if kept is None:
             whole = {"machine": machine(), "versions": versions("numpy", "numba", "torch", "scipy"),
-                     "cores": cores("NUMBA_NUM_THREADS"), "speed": measured(), "models": models}  # fmt: skip
+                     "cores": cores("NUMBA_NUM_THREADS"), "speed": now, "models": models}  # fmt: skip
         write_whole(options.out, json.dumps(whole, indent=1) + "\n")
 
 

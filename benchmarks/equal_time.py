@@ -69,7 +69,7 @@ class Study:
     problem: Callable[[int], tuple[Problem, Floats]]
     classical: tuple[str, ...]
     others: tuple[str, ...]
-    other_sizes: tuple[int, ...] = (8, 12, 16, 24, 32, 64, 128)
+    other_sizes: tuple[int, ...] = (8, 12, 16, 24, 32, 40, 48, 64, 128)
     at: int = 32
     plain: MonteCarlo | None = None
 

@@ -29,7 +29,7 @@ from nqr_geom.recipes import JOINT
 ROOT = Path(__file__).resolve().parents[1]
 PAPER, WARM = JOINT["toy-nqr-uniform"], JOINT["toy-nqr"].sampler
 TRAINING = JointConfig(iterations=300, batch=16, every=50, warmup=50, average=0.98, validation=1024)
-FROZEN = 1e-12
+FROZEN = 0.0
 VARIANTS: dict[str, tuple[SNetConfig, float]] = {
     "grid of 32 cells (the paper's head)": (
         SNetConfig(PAPER.sampler.tokens, head="grid", grid=((32,),)),

@@ -35,11 +35,19 @@ TERMS: dict[str, str] = {
 }
 
 
-def _worth(term: str, rows: float, n: float, size: float) -> float:
-    amount = 1.0
-    for factor in term.split("*"):
-        amount *= {"1": 1.0, "rows": rows, "n": n, "size": size, "log": math.log2(2.0 + size)}[factor]
-    return amount
+def _amounts(rows: float, n: float, size: float) -> dict[str, float]:
+    """How many of each of `TERMS` there are."""
+    return {
+        "1": 1.0,
+        "size": size,
+        "n": n,
+        "rows": rows,
+        "rows*n": rows * n,
+        "rows*n*n": rows * n * n,
+        "rows*log": rows * math.log2(2.0 + size),
+        "rows*size": rows * size,
+        "size*size": size * size,
+    }
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,8 @@ class Cost:
 
     def seconds(self, rows: float, n: float = 0.0, size: float = 1.0) -> float:
         """Predicted wall time for `rows` integrals of n samples on something of that size (pieces, edges)."""
-        return sum(seconds * _worth(term, rows, n, size) for term, seconds in self.terms.items())
+        amounts = _amounts(rows, n, size)
+        return sum(seconds * amounts[term] for term, seconds in self.terms.items())
 
     @classmethod
     def fit(cls, terms: Sequence[str], measured: Sequence[tuple[float, float, float, float]]) -> Cost:
@@ -76,7 +85,8 @@ class Cost:
         from scipy.optimize import nnls
 
         spent = np.array([row[3] for row in measured])
-        matrix = np.array([[_worth(term, *row[:3]) for term in terms] for row in measured]) / spent[:, None]
+        amounts = [_amounts(*row[:3]) for row in measured]
+        matrix = np.array([[amount[term] for term in terms] for amount in amounts]) / spent[:, None]
         unit = np.where(matrix.max(axis=0) > 0.0, matrix.max(axis=0), 1.0)
         found = nnls(matrix / unit, np.ones(len(spent)))[0] / unit
         return cls({term: float(f"{value:.4g}") for term, value in zip(terms, found, strict=True) if value > 0.0})
