@@ -65,12 +65,13 @@ def draw(
     xlabel: str = "iteration of joint training",
     ylabel: str = "Monte Carlo's error over the pair's",
 ) -> None:
-    """Error against iteration, one line a variant."""
+    """Error against iteration, one line a variant; dots where colours come round again, dashes where it is frozen."""
     made = figure(7.0, 4.4)
     axes = made.add_subplot(xlabel=xlabel, ylabel=ylabel, yscale="log")
-    for colour, (name, points) in zip(SEVERAL, curves.items(), strict=False):
+    for i, (name, points) in enumerate(curves.items()):
         at, mse = np.array(points).T
-        axes.plot(at, monte_carlo / mse, color=colour, label=name, linestyle="--" if "frozen" in name else "-")
+        line = "--" if "frozen" in name else "-" if i < len(SEVERAL) else ":"
+        axes.plot(at, monte_carlo / mse, color=SEVERAL[i % len(SEVERAL)], label=name, linestyle=line)
     axes.yaxis.set_minor_locator(LogLocator(subs=[2, 3, 5]))
     for part in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         part("{x:g}")
