@@ -175,6 +175,24 @@ def test_a_run_may_start_from_another(tmp_path: Path) -> None:
         train(TINY, tmp_path / "fourth", no_step, start_from=tmp_path / "nothing", progress=False)
 
 
+def test_what_a_run_reads_beyond_another_one_weighs_nothing_at_first(tmp_path: Path) -> None:
+    """Neighbours on both sides, and the tokens in the heads: the answers are the first network's."""
+    first = run(tmp_path / "first", SHORT)
+    more = replace(TINY, config=replace(TINY.config, reach=2, direct=True))
+    again = train(
+        more,
+        tmp_path / "second",
+        replace(SHORT, iterations=1, rate=1e-30),
+        start_from=tmp_path / "first",
+        precision="32-true",
+        progress=False,
+    )
+    tokens = torch.randn(4, 8, TINY.config.tokens.width, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        torch.testing.assert_close(again(tokens), first(tokens), rtol=1e-5, atol=1e-7)
+        assert first(tokens).abs().max() > 1e-3
+
+
 def test_two_processes_train_together(tmp_path: Path) -> None:
     """Over gloo: each sees its half of every batch, and the gradients are averaged."""
     import subprocess

@@ -34,6 +34,7 @@ from nqr_geom.integrator.learn.train import (
     piecewise,
     residuals,
     robust,
+    widen,
 )
 from nqr_geom.integrator.problem import Samples
 from nqr_geom.integrator.rules import Rule
@@ -261,6 +262,7 @@ def _adopt(inet: INet, snet: SNet, run: RunFolder, recipe: JointRecipe) -> None:
     elif inet.config.gated and not identity["config"].get("gated"):
         for key in ("head.weight", "head.bias"):
             weights[key] = torch.cat([weights[key], torch.zeros_like(weights[key][:1])])
+    widen(weights, inet)
     inet.load_state_dict(weights)
 
 

@@ -260,9 +260,10 @@ def train(
     config : TrainConfig
         How long and how fast. A continuation may change the length and the rates, not batch, seed or optimiser.
     start_from : path, optional
-        Run of another recipe with the same layers, width and tokens, or with fewer of the application's quantities: a
-        new run begins with its averaged weights, the heads aside, which start as the base rule. Those of a run of the
-        same recipe, perhaps with another batch or optimiser, are taken over, too.
+        Run of another recipe with the same layers, width and tokens: a new run begins with its averaged weights, the
+        heads aside, which start as the base rule. Those of a run of the same recipe, perhaps with another batch or
+        optimiser, are taken over, too. What the other network did not read yet (quantities of the application,
+        neighbours, tokens in the heads) weighs nothing at first.
     devices, num_nodes, accelerator, precision
         As for `lightning_fabric.Fabric`; by default attention layers work in bfloat16 where the hardware does so.
     progress : bool
@@ -390,17 +391,28 @@ def launch(config: INetConfig, devices: int, num_nodes: int, accelerator: str, p
     return fabric
 
 
+def widen(weights: dict[str, Tensor], net: INet) -> None:
+    """Fit the weights of a network that read less: what `net` reads beyond that weighs nothing at first.
+
+    Quantities and tokens stand behind what was read before, neighbours on both sides of it.
+    """
+    own = net.state_dict()
+    for key in ("embed_in.weight", "head.weight", *(key for key in own if key.endswith(".up.weight"))):
+        known = weights.get(key, own[key])
+        more = own[key].shape[1] - known.shape[1]
+        if known.shape[0] == own[key].shape[0] and more > 0:
+            before = more // 2 if key.endswith(".up.weight") else 0
+            weights[key] = torch.nn.functional.pad(known, (before, more - before))
+
+
 def _adopt(net: INet, checkpoint: Path, name: str) -> None:
-    """Copy another run, but for the heads of another recipe; token quantities beyond its own start with weight zero."""
+    """Copy another run, but for the heads of another recipe; what this one reads beyond it starts with weight zero."""
     if not checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(checkpoint.parent)!r}")
     state = torch.load(checkpoint, weights_only=True)
     weights, same = state["average"], json.loads(state["identity"])["recipe"] == name
+    widen(weights, net)
     own = {key: tensor for key, tensor in net.state_dict().items() if same or not key.startswith("head.")}
-    wide = own["embed_in.weight"]
-    known = weights.get("embed_in.weight", wide)
-    if known.shape[0] == wide.shape[0] and known.shape[1] < wide.shape[1]:
-        weights["embed_in.weight"] = torch.nn.functional.pad(known, (0, wide.shape[1] - known.shape[1]))
     wrong = [key for key, tensor in own.items() if key not in weights or weights[key].shape != tensor.shape]
     if wrong:
         raise ValueError(f"start_from: expected a run of the same tokens, layers and width, these differ: {wrong}")
