@@ -10,6 +10,7 @@ same short time with the decay at the end: once with the pseudo-Huber loss (knee
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import tempfile
 from dataclasses import replace
@@ -40,7 +41,8 @@ def continued(knee: float, folder: Path, more: int, decay: int) -> LearnedRule:
     if not run.exists():
         shutil.copytree(START, run)
     state = torch.load(START / "checkpoint.pt", weights_only=True)
-    config = TrainConfig(iterations=state["iteration"] + more, decay=decay, every=500, seed=SEED)
+    before = TrainConfig(**json.loads(state["train"]))
+    config = replace(before, iterations=state["iteration"] + more, decay=decay, every=500)
     recipe = replace(RECIPE, huber=knee)
     return LearnedRule(train(recipe, run, config, progress=False).eval(), recipe.base_rule(), recipe.extra)
 

@@ -34,14 +34,15 @@ from nqr_geom.integrator.learn.inet import INet, UniformWeights, correct
 from nqr_geom.integrator.learn.recipe import Batch, draw_samples, inner_answer
 from nqr_geom.integrator.learn.run import RunFolder
 from nqr_geom.integrator.learn.tokens import sort_samples, tokenize
-from nqr_geom.integrator.learn.train import TrainConfig, draw_batch, learning_rate
+from nqr_geom.integrator.learn.train import TrainConfig, draw_batch, learning_rate, widen
 from nqr_geom.integrator.problem import LogLink, Samples
 from nqr_geom.integrator.sums import row_mean
 from nqr_geom.recipes import RECIPES
 from nqr_geom.streams import Stream
 
 ROOT = Path(__file__).resolve().parents[1]
-RECIPE = RECIPES["sd-uniform"]
+TRUNK = RECIPES["gwn-uniform"]
+RECIPE = replace(RECIPES["sd-uniform"], config=replace(RECIPES["sd-uniform"].config, reach=TRUNK.config.reach))
 TRAINING = TrainConfig(iterations=1000, batch=64, warmup=100, decay=400, average=0.99, every=250, validation=2048)
 FLOOR = 1e-8  # epsilon of Eq. 56
 NEAR = (0.0, 0.05, 0.2, 0.5, np.inf)  # of distance from the curve
@@ -128,15 +129,14 @@ def fresh(start: Path, seed: int) -> INet:
         net = INet(RECIPE.config)
     trunk = torch.load(start / "checkpoint.pt", weights_only=True)["average"]
     trunk = {name: tensor for name, tensor in trunk.items() if not name.startswith("head.")}
-    wide = net.embed_in.weight.shape[1] - trunk["embed_in.weight"].shape[1]
-    trunk["embed_in.weight"] = torch.nn.functional.pad(trunk["embed_in.weight"], (0, wide))
+    widen(trunk, net)
     net.load_state_dict(trunk, strict=False)
     return net
 
 
 def learn(variant: Variant, config: TrainConfig, run: RunFolder) -> INet:
     """Train a variant, or load what an earlier call left in the folder."""
-    net, average = (fresh(ROOT / "training" / "gwn-uniform", config.seed) for _ in range(2))
+    net, average = (fresh(ROOT / "training" / TRUNK.name, config.seed) for _ in range(2))
     state = run.load()
     if state is not None and state["iteration"] == config.iterations:
         average.load_state_dict(state["average"])

@@ -149,10 +149,11 @@ RECIPES: dict[str, Recipe] = {
             family=gwn_batch,
             base="uniform",
             consistent="trapezoid",
-            config=INetConfig(_CURVE),
+            config=INetConfig(_CURVE, direct=True, reach=1),
             sees=_CURVE_SEES,
             extra=CURVE_TOKENS,
             sizes=_SIZES,
+            alike=True,
         ),
         Recipe(
             name="gwn-student",

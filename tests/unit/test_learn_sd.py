@@ -204,7 +204,7 @@ def test_weights_grow_as_far_as_the_recipe_says(shapes: tuple[Tensor, Tensor]) -
 
 def test_a_run_may_start_from_one_with_fewer_quantities(tmp_path: Path, shapes: tuple[Tensor, Tensor]) -> None:
     """The new quantities weigh nothing at first: the trunk sees what the other one saw."""
-    small = replace(RECIPES["gwn-uniform"].config, layers=1, width=16)
+    small = replace(RECIPES["gwn-uniform"].config, layers=1, width=16, reach=0, direct=False)
     less = replace(RECIPES["gwn-uniform"], config=replace(small, tokens=replace(small.tokens, unit=None)))
     more = replace(RECIPE, config=replace(RECIPE.config, layers=1, width=16))
     config = TrainConfig(iterations=2, batch=8, warmup=1, every=2, validation=16)

@@ -125,7 +125,7 @@ class INetConfig:
 
 
 class Block(nn.Module):
-    """Pre-norm transformer block with plain attention: on CPUs it is faster than the fused kernel at these sizes."""
+    """Pre-norm transformer block; what no gradient needs is overwritten: fresh memory costs as much as products do."""
 
     def __init__(self, width: int, heads: int, expansion: int, reach: int = 0) -> None:
         super().__init__()
@@ -141,16 +141,15 @@ class Block(nn.Module):
         b, n, e = x.shape
         qkv = self.qkv(self.norm1(x)).view(b, n, 3, self.heads, e // self.heads)  # (B, L, 3, H, E/H)
         q, k, v = qkv.permute(2, 0, 3, 1, 4)  # (B, H, L, E/H) each
-        score = (q * (e // self.heads) ** -0.5) @ k.transpose(-1, -2)  # (B, H, L, L)
-        mix = (score if bias is None else score + bias).softmax(dim=-1).to(v.dtype)  # (B, H, L, L)
-        x = x + self.out((mix @ v).transpose(1, 2).reshape(b, n, e))  # (B, L, E)
+        mix = nn.functional.scaled_dot_product_attention(q, k, v, None if bias is None else bias.to(q.dtype))
+        x = self.out(mix.transpose(1, 2).reshape(b, n, e)).add_(x)  # (B, L, E)
         y = self.norm2(x)
         if self.reach:
             if bias is not None:
                 y = y.masked_fill(bias[:, 0, 0, :, None] < 0.0, 0.0)  # as beyond the ends
             beside = nn.functional.pad(y, (0, 0, self.reach, self.reach))
             y = torch.cat([beside[:, k : k + n] for k in range(2 * self.reach + 1)], dim=-1)
-        return x + self.down(self.up(y).relu())  # (B, L, E)
+        return self.down(self.up(y).relu_()).add_(x)  # (B, L, E)
 
 
 class INet(nn.Module):
@@ -176,14 +175,17 @@ class INet(nn.Module):
 
     def forward(self, tokens: Tensor, padding: Tensor | None = None) -> Tensor:
         """Raw outputs; `padding` (B, L) is True where a token is to be ignored."""
-        x = self.embed_out(self.embed_in(tokens).relu())  # (B, L, E)
+        x = self.embed_out(self.embed_in(tokens).relu_())  # (B, L, E)
         bias = None
         if padding is not None:
             bias = torch.zeros_like(padding, dtype=x.dtype).masked_fill(padding, -torch.inf)[:, None, None]
         for block in self.blocks:
             x = block(x, bias)  # (B, L, E)
         x = self.norm(x)
-        raw = self.head(torch.cat([x, tokens], dim=-1) if self.config.direct else x)
+        own, direct = self.head.weight.split([x.shape[-1], self.head.in_features - x.shape[-1]], dim=1)
+        raw = nn.functional.linear(x, own, self.head.bias)
+        if self.config.direct:
+            raw = raw + nn.functional.linear(tokens, direct)
         return raw if raw.dtype == torch.float64 else raw.float()  # (B, L, outputs)
 
 
