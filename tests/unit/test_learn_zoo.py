@@ -211,6 +211,16 @@ def test_shares_fall_beyond_training_and_stay_at_zero() -> None:
     assert shares[-1] == 0.0  # the untrained network is Monte Carlo, far worse than the trapezoid by then
 
 
+def test_a_network_that_takes_little_off_counts_nothing_beyond_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe, sizes = replace(SMALL, base="trapezoid", consistent="mc"), (32, 128, 256)
+    monkeypatch.setattr("nqr_geom.integrator.learn.publish._BLEND_SAMPLES", 2**15)
+    assert min(fit_shares(recipe, INet(SMALL.config), sizes)) > 0.5
+    monkeypatch.setattr("nqr_geom.integrator.learn.publish._LEAST_GAIN", 1.0)  # no rule takes off all of it
+    first, *beyond = fit_shares(recipe, INet(SMALL.config), sizes)
+    assert first > 0.5
+    assert beyond == [0.0, 0.0]
+
+
 def test_share_is_linear_in_log_n() -> None:
     plain = card()
     assert [plain.share(n) for n in (1, 8, 32, 64, 128, 129)] == [1.0, 1.0, 1.0, 0.625, 0.25, 0.0]

@@ -25,6 +25,7 @@ __all__ = ["fit_shares", "fit_trust", "measure_box", "publish", "refit"]
 _BLEND_SAMPLES = 2**18  # validation samples spent on each size
 _CANDIDATES = 21
 _LEAST_SHARE = 0.02  # below it the network is not worth its time
+_LEAST_GAIN = 0.1  # of the consistent rule's error, beyond the trained sizes: nor is it below that
 
 
 def measure_box(
@@ -64,7 +65,8 @@ def fit_shares(
     """Share of the network at each N that minimises the squared error on validation integrals.
 
     Behind a link the error is no parabola in the share, so the best of `_CANDIDATES` is taken. Beyond the trained sizes
-    shares only fall, and from the first negligible one on they are 0. Shares count beside `trust`, see `Card`.
+    shares only fall, and from the first one on that is negligible, or takes little off the consistent rule's error,
+    they are 0. Shares count beside `trust`, see `Card`.
     """
     learned = LearnedRule(net, recipe.base_rule(), recipe.extra)
     safe = registry.make("rule", recipe.consistent)
@@ -74,9 +76,10 @@ def fit_shares(
         if n > recipe.largest or (n > trained and shares and shares[-1] == 0.0):
             shares.append(0.0)
             continue
-        gain, total = 0.0, 0.0
+        gain, total, plain = 0.0, 0.0, 0.0
         tried = torch.zeros(_CANDIDATES)
-        for rows in torch.arange(max(64, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
+        least = max(64, _BLEND_SAMPLES // trained if n > trained else 0)  # few integrals would decide the mean
+        for rows in torch.arange(max(least, _BLEND_SAMPLES // n)).split(max(1, 2**15 // n)):
             batch, samples = draw_batch(recipe, rows, n, seed, "validation", sampler)
             samples, link = batch.problem.finalize(samples)
             combined = [rule.combine(samples) for rule in (learned, safe)]
@@ -87,13 +90,16 @@ def fit_shares(
             if link.name == "identity":
                 gain += float(((theirs - batch.answer) * (theirs - mine)).sum())
                 total += float((theirs - mine).square().sum())
+                plain += float((theirs - batch.answer).square().sum())
                 continue
             blends = [torch.lerp(theirs, mine, share) for share in torch.linspace(0.0, 1.0, _CANDIDATES).tolist()]
             tried += torch.stack([(link(blend) - batch.answer).square().sum() for blend in blends])
         best = float(tried.argmin()) / (_CANDIDATES - 1)
         share = min(1.0, max(0.0, gain / total)) if total > 0.0 else best
         if n > trained:
-            share = faded(share, shares[-1] if shares else 1.0)
+            better = share * (2.0 * gain - share * total) if total > 0.0 else float(tried[0] - tried.min())
+            worth = better > _LEAST_GAIN * (plain if total > 0.0 else float(tried[0]))
+            share = faded(share if worth else 0.0, shares[-1] if shares else 1.0)
         shares.append(share)
     return tuple(shares)
 
