@@ -82,3 +82,14 @@ def sampling(rows: list[Row]) -> str:
         [f"processor time, 32 samples, {size} x {size}", "us a query", "times Monte Carlo's"],
         [[row["method"], short(row["us_per_query"]), short(row["times_mc"])] for row in rows],
     )
+
+
+def precision(rows: list[Row]) -> str:
+    """Answers and lessons in float32 and with products in bfloat16."""
+    return markdown(
+        ["network: processor time, one thread", "float32, us an integral", "bfloat16", "bfloat16 over float32"],
+        [
+            [f"{row['network']}, {row['kind']}", *(short(row[key]) for key in ("float32", "bfloat16", "ratio"))]
+            for row in rows
+        ],
+    )

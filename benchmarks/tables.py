@@ -20,7 +20,7 @@ import layouts_render
 import layouts_sd
 import layouts_walks
 import targets
-from layouts_time import equal_time, learned_time, sampling
+from layouts_time import equal_time, learned_time, precision, sampling
 from page import Row, interval, markdown, short, span
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -253,6 +253,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("gwn_time", "What a winding number costs in time", times),
     ("snet_time", "What placing samples by a network costs, compiled and not", sampling),
     ("learned_time", "Table 18: what learned winding numbers cost in time", learned_time),
+    ("precision", "What products in bfloat16 are worth to networks with attention layers", precision),
     ("equal_time", "Equal time: classical rules against structured and learned ones", equal_time),
     ("toy_methods", "The toy family of Fig. 37", methods),
     ("learned", "Networks beside their base rules, on held-out integrals", learned),

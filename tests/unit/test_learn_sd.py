@@ -216,5 +216,5 @@ def test_a_run_may_start_from_one_with_fewer_quantities(tmp_path: Path, shapes: 
     plain = tokenize(samples, less.config.tokens, CURVE_TOKENS)[:, :, 0]
     with torch.no_grad():
         np.testing.assert_allclose(second.embed_in(tokens), first.embed_in(plain), atol=1e-5)
-    with pytest.raises(ValueError, match="start_from: expected a run of the same tokens, layers and width"):
+    with pytest.raises(ValueError, match="start_from: expected a run of the same tokens and width"):
         train(less, tmp_path / "back", config, start_from=tmp_path / "sd", precision="32-true", progress=False)

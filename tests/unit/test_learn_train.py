@@ -169,28 +169,30 @@ def test_a_run_may_start_from_another(tmp_path: Path) -> None:
     for a, b in zip(first.parameters(), again.parameters(), strict=True):  # heads included
         np.testing.assert_allclose(b.detach(), a.detach(), rtol=1e-6, atol=1e-9)
     wide = replace(TINY, config=replace(TINY.config, width=32))
-    with pytest.raises(ValueError, match="start_from: expected a run of the same tokens, layers and width"):
+    with pytest.raises(ValueError, match="start_from: expected a run of the same tokens and width"):
         train(wide, tmp_path / "third", no_step, start_from=tmp_path / "first", progress=False)
     with pytest.raises(ValueError, match="start_from: expected a folder with a checkpoint"):
         train(TINY, tmp_path / "fourth", no_step, start_from=tmp_path / "nothing", progress=False)
 
 
-def test_what_a_run_reads_beyond_another_one_weighs_nothing_at_first(tmp_path: Path) -> None:
-    """Neighbours on both sides, and the tokens in the heads: the answers are the first network's."""
+@pytest.mark.parametrize("more", [{"reach": 2, "direct": True}, {"layers": 3}, {"expansion": 4, "reach": 1}])
+def test_what_a_run_has_beyond_another_one_weighs_nothing_at_first(tmp_path: Path, more: dict[str, int]) -> None:
+    """Neighbours on both sides, tokens in the heads, blocks, hidden units: the answers are the first network's."""
     first = run(tmp_path / "first", SHORT)
-    more = replace(TINY, config=replace(TINY.config, reach=2, direct=True))
+    larger = replace(TINY, config=replace(TINY.config, **more))
+    still = replace(SHORT, iterations=1, rate=1e-30)
     again = train(
-        more,
-        tmp_path / "second",
-        replace(SHORT, iterations=1, rate=1e-30),
-        start_from=tmp_path / "first",
-        precision="32-true",
-        progress=False,
+        larger, tmp_path / "second", still, start_from=tmp_path / "first", precision="32-true", progress=False
     )
     tokens = torch.randn(4, 8, TINY.config.tokens.width, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         torch.testing.assert_close(again(tokens), first(tokens), rtol=1e-5, atol=1e-7)
         assert first(tokens).abs().max() > 1e-3
+    learned = train(
+        larger, tmp_path / "third", SHORT, start_from=tmp_path / "first", precision="32-true", progress=False
+    )
+    for weight in learned.parameters():  # and all of it learns, but for what no input of these rows reaches
+        assert (weight != 0.0).float().mean() > 0.8
 
 
 def test_two_processes_train_together(tmp_path: Path) -> None:

@@ -318,8 +318,8 @@ class LearnedRule(Rule):
     extra : Extra, optional
         Quantities of the application that its tokens hold.
     half : bool, optional
-        Whether matrices are multiplied in bfloat16, as in training; by default where the processor does so in hardware
-        and there are attention layers to gain from it.
+        Whether matrices are multiplied in bfloat16, as in training; by default where the processor does so by
+        tiles (AMX) and there are attention layers to gain from it.
     """
 
     net: INet
@@ -390,6 +390,10 @@ class LearnedRule(Rule):
 
 @cache
 def has_bfloat16() -> bool:
-    """Whether this processor multiplies bfloat16 matrices in hardware; elsewhere they are slower than float32."""
+    """Whether this processor multiplies bfloat16 matrices by tiles (AMX).
+
+    By its vector unit alone (AVX-512) it does so no faster than in float32, and converting costs more than that: see
+    `benchmarks/precision.py`.
+    """
     told: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
-    return any(bool(told.get(name)) for name in ("avx512_bf16", "amx_bf16"))
+    return bool(told.get("amx_bf16"))

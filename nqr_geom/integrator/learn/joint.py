@@ -179,8 +179,7 @@ def train_jointly(
         Run of the recipe `recipe.begin`: a new run begins with its averaged network. Or one of this pair, perhaps with
         another batch, group or optimiser: a new run begins with both its averaged networks.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`; by default in bfloat16 where the hardware has it and the integrator
-        has attention layers.
+        As for `lightning_fabric.Fabric`; by default in bfloat16 where `train` would use it for the integrator.
     progress : bool
         Show a progress bar.
 

@@ -260,12 +260,14 @@ def train(
     config : TrainConfig
         How long and how fast. A continuation may change the length and the rates, not batch, seed or optimiser.
     start_from : path, optional
-        Run of another recipe with the same layers, width and tokens: a new run begins with its averaged weights, the
+        Run of another recipe with the same width and tokens: a new run begins with its averaged weights, the
         heads aside, which start as the base rule. Those of a run of the same recipe, perhaps with another batch or
-        optimiser, are taken over, too. What the other network did not read yet (quantities of the application,
-        neighbours, tokens in the heads) weighs nothing at first.
+        optimiser, are taken over, too. What the other network did not read or have yet (quantities of the application,
+        neighbours, tokens in the heads, hidden units, blocks) weighs nothing at first. Of one with more blocks the
+        first are taken.
     devices, num_nodes, accelerator, precision
-        As for `lightning_fabric.Fabric`; by default attention layers work in bfloat16 where the hardware does so.
+        As for `lightning_fabric.Fabric`; by default attention layers work in bfloat16 on a GPU, and on a processor
+        that multiplies it by tiles (AMX).
     progress : bool
         Show a progress bar.
 
@@ -374,7 +376,7 @@ def follow(
 
 
 def fitting_precision(config: INetConfig, accelerator: str) -> str:
-    """Products in bfloat16 where the hardware does them and there are attention layers to gain from it."""
+    """Products in bfloat16 where that is faster and there are attention layers to gain from it."""
     half = config.layers > 0 and (accelerator != "cpu" or has_bfloat16())
     return "bf16-mixed" if half else "32-true"
 
@@ -392,21 +394,29 @@ def launch(config: INetConfig, devices: int, num_nodes: int, accelerator: str, p
 
 
 def widen(weights: dict[str, Tensor], net: INet) -> None:
-    """Fit the weights of a network that read less: what `net` reads beyond that weighs nothing at first.
+    """Fit the weights of a smaller network: what `net` reads and has beyond it weighs nothing at first.
 
-    Quantities and tokens stand behind what was read before, neighbours on both sides of it.
+    Quantities and tokens stand behind what was read before, neighbours on both sides of it; hidden units and blocks
+    behind those that were there. What these compute begins as in an untrained network, so that they can learn.
     """
-    own = net.state_dict()
-    for key in ("embed_in.weight", "head.weight", *(key for key in own if key.endswith(".up.weight"))):
-        known = weights.get(key, own[key])
-        more = own[key].shape[1] - known.shape[1]
-        if known.shape[0] == own[key].shape[0] and more > 0:
-            before = more // 2 if key.endswith(".up.weight") else 0
-            weights[key] = torch.nn.functional.pad(known, (before, more - before))
+    for key, own in net.state_dict().items():
+        _, _, part = key.partition("blocks.")[2].partition(".")  # of a block, "" elsewhere
+        known = weights.get(key)
+        if known is None and part:
+            known = torch.zeros_like(own) if part.startswith(("out.", "down.")) else own
+        if known is None or known.ndim != own.ndim:
+            continue
+        if key in ("embed_in.weight", "head.weight") or part in ("up.weight", "down.weight"):
+            more = max(0, own.shape[1] - known.shape[1])
+            before = more // 2 if part == "up.weight" else 0
+            known = torch.nn.functional.pad(known, (before, more - before))
+        if part.startswith("up."):
+            known = torch.cat([known, own[len(known) :]]) if known.shape[1:] == own.shape[1:] else known
+        weights[key] = known
 
 
 def _adopt(net: INet, checkpoint: Path, name: str) -> None:
-    """Copy another run, but for the heads of another recipe; what this one reads beyond it starts with weight zero."""
+    """Copy another run, but for the heads of another recipe; what this one has beyond it starts with weight zero."""
     if not checkpoint.exists():
         raise ValueError(f"start_from: expected a folder with a checkpoint, got {str(checkpoint.parent)!r}")
     state = torch.load(checkpoint, weights_only=True)
@@ -415,7 +425,7 @@ def _adopt(net: INet, checkpoint: Path, name: str) -> None:
     own = {key: tensor for key, tensor in net.state_dict().items() if same or not key.startswith("head.")}
     wrong = [key for key, tensor in own.items() if key not in weights or weights[key].shape != tensor.shape]
     if wrong:
-        raise ValueError(f"start_from: expected a run of the same tokens, layers and width, these differ: {wrong}")
+        raise ValueError(f"start_from: expected a run of the same tokens and width, these differ: {wrong}")
     net.load_state_dict({key: weights[key] for key in own}, strict=False)
 
 
