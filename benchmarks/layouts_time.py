@@ -93,3 +93,18 @@ def precision(rows: list[Row]) -> str:
             for row in rows
         ],
     )
+
+
+def callables(rows: list[Row]) -> str:
+    """The structured method and its parts on a callable, compiled and by tensors."""
+    return markdown(
+        ["32 samples: problem, queries", "", "us a query", "by tensors", "times as long", "times Monte Carlo"],
+        [
+            [
+                f"{row['problem']}, {row['queries']:,}",
+                row["part"],
+                *(short(row[key]) for key in ("us", "tensors_us", "ratio", "times_mc")),
+            ]
+            for row in rows
+        ],
+    )

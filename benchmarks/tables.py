@@ -20,7 +20,7 @@ import layouts_render
 import layouts_sd
 import layouts_walks
 import targets
-from layouts_time import equal_time, learned_time, precision, sampling
+from layouts_time import callables, equal_time, learned_time, precision, sampling
 from page import Row, interval, markdown, short, span
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -251,6 +251,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("exact_sd", "Exact smoothed distances next to what sees points of the curve only", exact_sd),
     ("gwn_methods", "Curves from point queries only: shapes of Fig. 38, Lissajous and Fourier curves", methods),
     ("gwn_time", "What a winding number costs in time", times),
+    ("callables", "What the structured method costs on curves that are callables", callables),
     ("snet_time", "What placing samples by a network costs, compiled and not", sampling),
     ("learned_time", "Table 18: what learned winding numbers cost in time", learned_time),
     ("precision", "What products in bfloat16 are worth to networks with attention layers", precision),

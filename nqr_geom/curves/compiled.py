@@ -7,6 +7,7 @@ stay the reference: what is compiled here is what error-against-time charts must
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numba import njit
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.rows import over_rows, with_term
 
-__all__ = ["refined", "sampled"]
+__all__ = ["placed", "refined", "sampled", "winding"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -132,6 +133,36 @@ def _gain(s0, s1, a, b, error, r, t):
     return slack / max(math.sqrt(near) + slack, 1e-300)
 
 
+@_inline
+def _open(j, s, r, t, left, right, gain):
+    """The gap between both ends of piece j: nothing is known of it, so its error is its whole size."""
+    a, b = 2 * j, 2 * j + 1
+    left[j], right[j] = a, b
+    length = 0.5 * (_norm(t[a, 0], t[a, 1]) + _norm(t[b, 0], t[b, 1])) * (s[b] - s[a])
+    gain[j] = _gain(s[a], s[b], a, b, length, r, t)
+
+
+@_inline
+def _choose(row, i, used, spread, s, left, right, gain):
+    """The gap that matters most, and where sample i cuts it."""
+    chosen = 0
+    for g in range(1, used):
+        if gain[g] > gain[chosen]:
+            chosen = g
+    cut = 0.5 + spread * (unit(mixed(row, i)) - 0.5)
+    return chosen, s[left[chosen]] * (1.0 - cut) + s[right[chosen]] * cut
+
+
+@_inline
+def _cut(chosen, i, used, s, r, t, left, right, gain):
+    """The chosen gap becomes the one before sample i, and the one behind it is new."""
+    a, b = left[chosen], right[chosen]
+    before, after = _miss(s[a], s[b], s[i], a, b, i, r, t)
+    left[chosen], right[chosen], left[used], right[used] = a, i, i, b
+    gain[chosen] = _gain(s[a], s[i], a, i, before, r, t)
+    gain[used] = _gain(s[i], s[b], i, b, after, r, t)
+
+
 @_function
 def _place(c, k, px, py, row, n, spread, end, s, r, t, piece, left, right, gain):
     """Ends, then the gap that matters most again and again: fills s, r, t, piece (n, ...)."""
@@ -141,28 +172,14 @@ def _place(c, k, px, py, row, n, spread, end, s, r, t, piece, left, right, gain)
             s[i] = (j + e * (1.0 - end)) / k
             x, y, t[i, 0], t[i, 1], piece[i] = _at(c, k, s[i])
             r[i, 0], r[i, 1] = x - px, y - py
-        a, b = 2 * j, 2 * j + 1
-        if n == 2 * k:
-            continue  # no gap will be cut
-        left[j], right[j] = a, b
-        length = 0.5 * (_norm(t[a, 0], t[a, 1]) + _norm(t[b, 0], t[b, 1])) * (s[b] - s[a])
-        gain[j] = _gain(s[a], s[b], a, b, length, r, t)
-    used = k
+        if n > 2 * k:
+            _open(j, s, r, t, left, right, gain)
     for i in range(2 * k, n):
-        chosen = 0
-        for g in range(1, used):
-            if gain[g] > gain[chosen]:
-                chosen = g
-        a, b = left[chosen], right[chosen]
-        cut = 0.5 + spread * (unit(mixed(row, i)) - 0.5)
-        s[i] = s[a] * (1.0 - cut) + s[b] * cut
+        used = i - k
+        chosen, s[i] = _choose(row, i, used, spread, s, left, right, gain)
         x, y, t[i, 0], t[i, 1], piece[i] = _at(c, k, s[i])
         r[i, 0], r[i, 1] = x - px, y - py
-        before, after = _miss(s[a], s[b], s[i], a, b, i, r, t)
-        left[chosen], right[chosen], left[used], right[used] = a, i, i, b
-        gain[chosen] = _gain(s[a], s[i], a, i, before, r, t)
-        gain[used] = _gain(s[i], s[b], i, b, after, r, t)
-        used += 1
+        _cut(chosen, i, used, s, r, t, left, right, gain)
 
 
 @_function
@@ -422,3 +439,85 @@ def refined(
     fixed = (coefficients, pieces, shape, points, rows, unsigned(key), n, spread, end, value, doubtful)
     over_rows(lambda start, stop: _refine_rows(*fixed, start, stop), len(points))
     return value, doubtful
+
+
+@_kernel
+def _seen_rows(s, r, t, piece, pieces, value, doubtful, start, stop):
+    n = s.shape[1]
+    order, stack, levels = np.empty(n, np.int64), np.empty((2 * _LEVELS + 4, 8)), np.empty(2 * _LEVELS + 4, np.int64)
+    for b in range(start, stop):
+        _sort(s[b], order)
+        value[b], doubtful[b] = _rebuilt(s[b], r[b], t[b], piece[b], pieces[b], order, stack, levels)
+
+
+def winding(s: Floats, r: Floats, t: Floats, piece: Ints, pieces: Ints) -> tuple[Floats, NDArray[np.bool_]]:
+    """`GwnHermite` on samples that are there: winding number (B,) and which are in doubt (B,).
+
+    Parameters
+    ----------
+    s : ndarray, (B, N)
+        Parameters of the samples, in any order.
+    r, t : ndarray, (B, N, 2)
+        Position minus the query, and dx/ds.
+    piece : ndarray, (B, N), int64
+        Piece that each sample lies on.
+    pieces : ndarray, (B,), int64
+        How many there are.
+    """
+    value, doubtful = np.empty(len(s)), np.empty(len(s), dtype=np.bool_)
+    over_rows(lambda start, stop: _seen_rows(s, r, t, piece, pieces, value, doubtful, start, stop), len(s))
+    return value, doubtful
+
+
+@_kernel
+def _next_rows(rows, key, k, i, spread, s, r, t, left, right, gain, chosen):
+    """Open the gaps of every row, or cut those chosen before, and choose where sample i goes."""
+    for b in range(len(s)):
+        if i == 2 * k:
+            for j in range(k):
+                _open(j, s[b], r[b], t[b], left[b], right[b], gain[b])
+        else:
+            _cut(chosen[b], i - 1, i - 1 - k, s[b], r[b], t[b], left[b], right[b], gain[b])
+        chosen[b], s[b, i] = _choose(mixed(key, rows[b]), i, i - k, spread, s[b], left[b], right[b], gain[b])
+
+
+def placed(
+    look: Callable[[Floats], tuple[Floats, Floats, Ints]],
+    points: Floats,
+    rows: Ints,
+    key: int,
+    k: int,
+    n: int,
+    spread: float,
+    end: float,
+) -> tuple[Floats, Floats, Floats, Ints]:
+    """The samples of `CurveRefine` on curves that only tell points, asked for a sample of every query at a time.
+
+    Parameters
+    ----------
+    look : callable
+        s (B, m) to positions and dx/ds (B, m, 2) and pieces (B, m).
+    points, rows, key, n, spread, end
+        As for `refined`.
+    k : int
+        Pieces of every curve, at most n / 2.
+
+    Returns
+    -------
+    s, position, tangent, piece : ndarray, (B, n), (B, n, 2) twice, (B, n)
+    """
+    batch = len(points)
+    s, gain = np.empty((batch, n)), np.empty((batch, n))
+    position, r, t = (np.empty((batch, n, 2)) for _ in range(3))
+    piece, left, right = (np.empty((batch, n), np.int64) for _ in range(3))
+    chosen = np.empty(batch, np.int64)
+    pair = np.array([0.0, 1.0 - end])
+    s[:, : 2 * k] = ((np.arange(k)[:, None] + pair) / k).ravel()
+    asked = slice(0, 2 * k)
+    for i in range(2 * k, n + 1):
+        position[:, asked], t[:, asked], piece[:, asked] = look(s[:, asked])
+        np.subtract(position[:, asked], points[:, None], out=r[:, asked])
+        if i < n:
+            _next_rows(rows, unsigned(key), k, i, spread, s, r, t, left, right, gain, chosen)
+            asked = slice(i, i + 1)
+    return s, position, t, piece

@@ -16,7 +16,7 @@ from nqr_geom.curves.gauss import BEND, BENT, COUNT, LONGEST, NODES, STRAIGHT, W
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.rows import over_rows, with_term
 
-__all__ = ["rebuilt", "sampled"]
+__all__ = ["integral", "rebuilt", "sampled"]
 
 _TINY = 1e-280
 _SHORTEST = 1e-300
@@ -152,6 +152,43 @@ def _add(q, alpha, shift, so_far, room):  # type: ignore[no-untyped-def]
             so_far[2] += power[j] * speed[j]
 
 
+@_function
+def _rooms(n):  # type: ignore[no-untyped-def]
+    """Memory that every row uses anew: the order of its samples, and what one cubic needs."""
+    stack, levels = np.empty((_LEVELS + 4, 8)), np.empty(_LEVELS + 4, np.int64)
+    power, speed, scale = np.empty(COUNT), np.empty(COUNT), np.empty(COUNT)
+    return np.empty(n, np.int64), np.empty(3), (stack, levels, power, speed, scale, scale.view(np.int64))
+
+
+@_function
+def _integral(s, r, t, piece, k, alpha, order, so_far, room):  # type: ignore[no-untyped-def]
+    """`hermite.reconstruct` and `hermite.log_integral` on one row: exponent, sum, nearest sample, piece unseen."""
+    n = len(s)
+    _sort(s, order)
+    shift = np.inf
+    for i in range(n):
+        shift = min(shift, math.sqrt(max(r[i, 0] * r[i, 0] + r[i, 1] * r[i, 1], _TINY)))
+    so_far[0], so_far[1], so_far[2] = shift * shift, -np.inf, 0.0
+    run, seen = 0, 0
+    for g in range(n):
+        i = order[g]
+        first = g == 0 or piece[order[g - 1]] != piece[i]
+        last = g == n - 1 or piece[order[g + 1]] != piece[i]
+        after = not last and s[order[g + 1]] > s[i]
+        low, high = piece[i] / k, (piece[i] + 1) / k
+        run = 1 if first else run + 1
+        if first and s[i] > low:
+            _add(_reach(s, r, t, i, order[g + 1] if after else -1, low), alpha, shift, so_far, room)
+        if after:
+            _add(_through(s, r, t, i, order[g + 1]), alpha, shift, so_far, room)
+        if last:
+            if s[i] < high:
+                before = not first and s[i] > s[order[g - 1]]
+                _add(_reach(s, r, t, i, order[g - 1] if before else -1, high), alpha, shift, so_far, room)
+            seen += run >= 2
+    return so_far[1], so_far[2], shift, seen < k
+
+
 @_kernel
 def _rebuilt_rows(  # type: ignore[no-untyped-def]
     coefficients, pieces, shape, points, rows, key, n, refine, jittered, spread, end, alpha, exponent, total, nearest,
@@ -159,10 +196,8 @@ def _rebuilt_rows(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     s, r, t = np.empty(n), np.empty((n, 2)), np.empty((n, 2))
     piece, left, right = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
-    gain, order = np.empty(n), np.empty(n, np.int64)
-    stack, levels = np.empty((_LEVELS + 4, 8)), np.empty(_LEVELS + 4, np.int64)
-    power, speed, scale, so_far = np.empty(COUNT), np.empty(COUNT), np.empty(COUNT), np.empty(3)
-    room = (stack, levels, power, speed, scale, scale.view(np.int64))
+    gain = np.empty(n)
+    order, so_far, room = _rooms(n)
     for b in range(start, stop):
         c, k = coefficients[shape[b]], pieces[shape[b]]
         px, py, row = points[b, 0], points[b, 1], mixed(key, rows[b])
@@ -173,29 +208,29 @@ def _rebuilt_rows(  # type: ignore[no-untyped-def]
             for i in range(n):
                 x, y, t[i, 0], t[i, 1], piece[i] = _at(c, k, s[i])
                 r[i, 0], r[i, 1] = x - px, y - py
-        _sort(s, order)
-        shift = np.inf
-        for i in range(n):
-            shift = min(shift, math.sqrt(max(r[i, 0] * r[i, 0] + r[i, 1] * r[i, 1], _TINY)))
-        so_far[0], so_far[1], so_far[2] = shift * shift, -np.inf, 0.0
-        run, seen = 0, 0
-        for g in range(n):
-            i = order[g]
-            first = g == 0 or piece[order[g - 1]] != piece[i]
-            last = g == n - 1 or piece[order[g + 1]] != piece[i]
-            after = not last and s[order[g + 1]] > s[i]
-            low, high = piece[i] / k, (piece[i] + 1) / k
-            run = 1 if first else run + 1
-            if first and s[i] > low:
-                _add(_reach(s, r, t, i, order[g + 1] if after else -1, low), alpha, shift, so_far, room)
-            if after:
-                _add(_through(s, r, t, i, order[g + 1]), alpha, shift, so_far, room)
-            if last:
-                if s[i] < high:
-                    before = not first and s[i] > s[order[g - 1]]
-                    _add(_reach(s, r, t, i, order[g - 1] if before else -1, high), alpha, shift, so_far, room)
-                seen += run >= 2
-        exponent[b], total[b], nearest[b], missing[b] = so_far[1], so_far[2], shift, seen < k
+        found = _integral(s, r, t, piece, k, alpha, order, so_far, room)
+        exponent[b], total[b], nearest[b], missing[b] = found
+
+
+@_kernel
+def _seen_rows(s, r, t, piece, pieces, alpha, exponent, total, nearest, missing, start, stop):  # type: ignore[no-untyped-def]
+    order, so_far, room = _rooms(s.shape[1])
+    for b in range(start, stop):
+        found = _integral(s[b], r[b], t[b], piece[b], pieces[b], alpha[b], order, so_far, room)
+        exponent[b], total[b], nearest[b], missing[b] = found
+
+
+def integral(
+    s: Floats, r: Floats, t: Floats, piece: Ints, pieces: Ints, alpha: Floats
+) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    """`SdHermite` on samples that are there, as `rebuilt` returns it.
+
+    Parameters are those of `compiled.winding`, and the sharpness of each query.
+    """
+    exponent, total, nearest = (np.empty(len(s)) for _ in range(3))
+    out = (exponent, total, nearest, np.empty(len(s), dtype=np.bool_))
+    over_rows(lambda start, stop: _seen_rows(s, r, t, piece, pieces, alpha, *out, start, stop), len(s))
+    return out
 
 
 def rebuilt(

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nqr_geom.curves.curve import BlackBoxCurve, Curve
 
-__all__ = ["BlackBoxShape", "PackedShapes", "Shapes", "locate"]
+__all__ = ["BlackBoxShape", "PackedShapes", "Shapes", "Told", "locate"]
 
 
 class Shapes(Protocol):
@@ -94,6 +94,35 @@ class BlackBoxShape:
         position = torch.from_numpy(self.curve.sample(flat)).reshape(*s.shape, 2)
         tangent = torch.from_numpy(self.curve.derivative(flat)).reshape(*s.shape, 2)
         return position.to(s.device), tangent.to(s.device), piece
+
+
+@dataclass(frozen=True)
+class Told:
+    """What shapes told of their points, to be told again.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        That were asked.
+    position, tangent, piece : Tensor
+        What they answered; asked again for the same points, these do.
+    """
+
+    shapes: Shapes
+    position: Tensor
+    tangent: Tensor
+    piece: Tensor
+
+    @property
+    def pieces(self) -> Tensor:
+        return self.shapes.pieces
+
+    @property
+    def queries_per_sample(self) -> int:
+        return self.shapes.queries_per_sample
+
+    def at(self, shape: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        return self.position, self.tangent, self.piece
 
 
 def locate(s: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,17 +6,24 @@ They see a curve only through point queries (position, tangent, piece), as the n
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nqr_geom.curves import hermite
+from nqr_geom.curves.shapes import Told
 from nqr_geom.integrator.problem import LogLink, Observation, Problem, Samples
 from nqr_geom.integrator.rules import Combination, Rule
 from nqr_geom.integrator.samplers import Sampler, Stratified
 from nqr_geom.streams import Stream
 
 __all__ = ["CurveRefine", "GwnHermite", "SdHermite", "scaled"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 _LARGEST_EXPONENT = 600.0
 _END = 1e-10  # how far inside its piece an end is asked, as a part of the piece
@@ -35,9 +42,22 @@ class GwnHermite(Rule):
     def combine(self, samples: Samples) -> Combination:
         if "alpha" in samples.seen.features:
             raise ValueError(f"rule: {self.name!r} gives winding numbers, these are samples of a smoothed distance")
+        answer = self.by_kernel if samples.x.device.type == "cpu" else self.by_tensors
+        value, doubtful = answer(samples)
+        return Combination(samples.x.new_zeros(1, 1, 1, 1), value[:, None], doubtful)
+
+    def by_tensors(self, samples: Samples) -> tuple[Tensor, Tensor]:
+        """Winding numbers (B,) and which are in doubt (B,), on any device: the reference."""
         segments = hermite.reconstruct(samples, self.name)
         value, doubtful = hermite.winding(segments)
-        return Combination(samples.x.new_zeros(1, 1, 1, 1), value[:, None], doubtful | segments.missing)
+        return value, doubtful | segments.missing
+
+    def by_kernel(self, samples: Samples) -> tuple[Tensor, Tensor]:
+        """The same, compiled."""
+        from nqr_geom.curves import compiled
+
+        value, doubtful = compiled.winding(*seen_rows(samples, self.name))
+        return torch.from_numpy(value), torch.from_numpy(doubtful)
 
 
 class SdHermite(Rule):
@@ -46,11 +66,33 @@ class SdHermite(Rule):
     name = "sd-hermite"
 
     def combine(self, samples: Samples) -> Combination:
-        segments = hermite.reconstruct(samples, self.name)
         alpha = samples.feature("alpha", self.name)[:, 0, 0, 0]
+        answer = self.by_kernel if samples.x.device.type == "cpu" else self.by_tensors
+        exponent, total, shift, missing = answer(samples, alpha)
+        value, link, lost = scaled(exponent, total, alpha, shift)
+        return Combination(samples.x.new_zeros(1, 1, 1, 1), value, missing | lost, link)
+
+    def by_tensors(self, samples: Samples, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Exponent, sum, distance of the nearest sample, and where a piece is unseen, (B,) each: the reference."""
+        segments = hermite.reconstruct(samples, self.name)
         shift = samples.feature("distance2", self.name)[..., 0, 0].sqrt().amin(dim=1)
-        value, link, lost = scaled(*hermite.log_integral(segments, alpha, shift), alpha, shift)
-        return Combination(samples.x.new_zeros(1, 1, 1, 1), value, segments.missing | lost, link)
+        return *hermite.log_integral(segments, alpha, shift), shift, segments.missing
+
+    def by_kernel(self, samples: Samples, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The same, compiled."""
+        from nqr_geom.curves import compiled_smooth
+
+        found = compiled_smooth.integral(*seen_rows(samples, self.name), alpha.contiguous().numpy())
+        exponent, total, shift, missing = map(torch.from_numpy, found)
+        return exponent, total, shift, missing
+
+
+def seen_rows(samples: Samples, rule: str) -> tuple[Floats, Floats, Floats, Ints, Ints]:
+    """Samples for kernels: s (B, N), position from the query and dx/ds (B, N, 2), piece (B, N), pieces (B,)."""
+    relative, piece, pieces = (samples.feature(name, rule)[:, :, 0] for name in ("relative", "piece", "pieces"))
+    parts = samples.x[..., 0], relative, hermite.tangents(samples, rule), piece[..., 0].long(), pieces[:, 0, 0].long()
+    s, r, t, on, of = (part.contiguous().numpy() for part in parts)
+    return s, r, t, on, of
 
 
 def scaled(exponent: Tensor, total: Tensor, alpha: Tensor, shift: Tensor) -> tuple[Tensor, LogLink, Tensor]:
@@ -93,17 +135,34 @@ class CurveRefine(Sampler):
         for k in count.unique().tolist():
             index = (count == k).nonzero()[:, 0]
             part = problem.take(index)
-            result.append((index, self._refine(part, k, n, stream) if n >= 2 * k else self._spread(part, n, stream)))
+            refine = self.by_kernel if part.rows.device.type == "cpu" else self.by_tensors
+            result.append((index, (refine if n >= 2 * k else self._spread)(part, k, n, stream)))
         if len(result) == 1:
             return result[0][1]
         order = torch.cat([index for index, _ in result]).argsort()
         return Samples.stack([samples for _, samples in result]).take(order)
 
-    def _spread(self, problem: Problem, n: int, stream: Stream) -> Samples:
+    def _spread(self, problem: Problem, k: int, n: int, stream: Stream) -> Samples:
         samples = Stratified().draw(problem, n, stream)
         return replace(samples, pdf=None, design=self.name, stratum=None, volume=None)
 
-    def _refine(self, problem: Problem, k: int, n: int, stream: Stream) -> Samples:
+    def by_kernel(self, problem: Any, k: int, n: int, stream: Stream) -> Samples:
+        """n samples for integrals over curves of k pieces: gaps are chosen in a compiled pass."""
+        from nqr_geom.curves import compiled
+
+        def look(s: Floats) -> tuple[Floats, Floats, Ints]:
+            position, tangent, piece = problem.shapes.at(problem.shape, torch.from_numpy(s))
+            return position.numpy(), tangent.numpy(), piece.numpy()
+
+        points, rows = problem.points.numpy(), problem.rows.numpy()
+        found = compiled.placed(look, points, rows, stream.key, k, n, self.spread, self.end)
+        s, *told = map(torch.from_numpy, found)
+        x = s[..., None]
+        seen = replace(problem, shapes=Told(problem.shapes, *told)).evaluate(x)
+        return Samples(x, seen, None, self.name)
+
+    def by_tensors(self, problem: Problem, k: int, n: int, stream: Stream) -> Samples:
+        """The same on any device: the reference."""
         device = problem.rows.device
         start = torch.arange(k, device=device).double()
         ends = torch.stack([start, start + 1.0 - _END], dim=1).reshape(1, 2 * k, 1) / k

@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+import torch
 from numba import njit
 
 import nqr_geom as ng
@@ -14,7 +15,7 @@ from nqr_geom.curves.problems import GwnProblem
 from nqr_geom.curves.structured import CurveRefine, GwnHermite
 from nqr_geom.integrator.estimate import run
 from nqr_geom.integrator.rules import MonteCarlo
-from nqr_geom.integrator.samplers import Random, Sobol, Stratified
+from nqr_geom.integrator.samplers import Random, Sampler, Sobol, Stratified
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
 
@@ -28,6 +29,18 @@ class Plain(GwnProblem):
 
 def plain(problem: GwnProblem) -> Plain:
     return Plain(**{field.name: getattr(problem, field.name) for field in fields(problem)})
+
+
+class RuleByTensors(GwnHermite):
+    """The reference."""
+
+    by_kernel = GwnHermite.by_tensors
+
+
+class RefineByTensors(CurveRefine):
+    """The reference."""
+
+    by_kernel = CurveRefine.by_tensors
 
 
 @njit
@@ -104,7 +117,7 @@ def test_refined_cubics(n: int, pieces: int) -> None:
     points = np.random.default_rng(n).uniform(-1, 1, (700, 2))
     problem = GwnProblem.of([cubics(k, pieces) for k in range(3)], points)
     fast = run(problem, CurveRefine(), GwnHermite(), n, seed=n)
-    slow = run(plain(problem), CurveRefine(), GwnHermite(), n, seed=n)
+    slow = run(plain(problem), RefineByTensors(), RuleByTensors(), n, seed=n)
     assert "compiled" in fast.stages
     # Nearly equal gains may be ordered differently by a last digit, and then another gap is cut.
     same = np.abs(fast.value - slow.value)[:, 0] < 1e-11
@@ -123,7 +136,7 @@ def test_curves_through_the_query_and_degenerate_ones() -> None:
     problem = GwnProblem.of(shapes, points)
     for n in (8, 32, 100):
         fast = run(problem, CurveRefine(), GwnHermite(), n)
-        slow = run(plain(problem), CurveRefine(), GwnHermite(), n)
+        slow = run(plain(problem), RefineByTensors(), RuleByTensors(), n)
         assert np.isfinite(fast.value).all()
         off = ~(fast.fallback | slow.fallback)
         np.testing.assert_allclose(fast.value[off], slow.value[off], atol=1e-11)
@@ -141,3 +154,34 @@ def test_same_answer_in_any_part_of_the_batch() -> None:
     whole = run(problem, CurveRefine(), GwnHermite(), 16, seed=1).value
     part = run(problem.take(slice(1000, 1400)), CurveRefine(), GwnHermite(), 16, seed=1).value
     np.testing.assert_array_equal(part, whole[1000:1400])
+
+
+@pytest.mark.parametrize("sampler", [Random(), Stratified(), Sobol(), CurveRefine()])
+@pytest.mark.parametrize("n", [1, 13, 90])
+def test_the_rule_on_samples_of_any_design(sampler: Sampler, n: int) -> None:
+    points = np.random.default_rng(n).uniform(-1, 1, (400, 2))
+    problem = GwnProblem.of([cubics(k, 5) for k in range(3)], points)
+    samples = sampler.draw(problem, n, Stream(3))
+    fast, slow = GwnHermite().by_kernel(samples), GwnHermite().by_tensors(samples)
+    assert torch.equal(fast[1], slow[1])
+    # What two near samples say of a far end is as uncertain as their rounding.
+    assert ((fast[0] - slow[0]).abs() < 1e-10).double().mean() > 0.995
+
+
+@pytest.mark.parametrize("spread", [0.2, 0.0])
+@pytest.mark.parametrize("n", [10, 11, 40])
+def test_refined_black_boxes(spread: float, n: int) -> None:
+    """Points of a callable, and several shapes with different numbers of pieces: the reference's, one by one."""
+    points = np.random.default_rng(n).uniform(-1, 1, (200, 2))
+    spiral = ng.Curve.from_callable(lambda s: np.exp(-s)[:, None] * np.stack([np.cos(9 * s), np.sin(9 * s)], 1), 5)
+    for problem in (GwnProblem.of(spiral, points), GwnProblem.of([cubics(1, 5), cubics(2, 3)], points)):
+        fast, slow = (kind(spread).draw(problem, n, Stream(4)) for kind in (CurveRefine, RefineByTensors))
+        same = (fast.x - slow.x).abs().amax(dim=(1, 2)) < 1e-12  # nearly equal gains may be ordered differently
+        assert same.double().mean() > 0.995
+        assert fast.seen.queries == slow.seen.queries
+        assert fast.seen.features.keys() == slow.seen.features.keys()
+        torch.testing.assert_close(fast.value[same], slow.value[same], rtol=1e-9, atol=1e-9)
+        for name, feature in fast.seen.features.items():
+            torch.testing.assert_close(feature[same], slow.seen.features[name][same], rtol=1e-9, atol=1e-9)
+        half = problem.take(slice(100, 200))
+        assert torch.equal(CurveRefine(spread).draw(half, n, Stream(4)).x, fast.x[100:200])
