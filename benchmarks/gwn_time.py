@@ -43,7 +43,7 @@ def main() -> None:
         for n in budgets:
             plain = 0.0
             for method in (*METHODS, *models):
-                often = 1 if method in models else repeats
+                often = min(3, repeats) if method in models else repeats
                 seconds = best_seconds(lambda: ng.integrate(problem, n, method=method, seed=SEED), often)  # noqa: B023
                 plain = plain or seconds
                 rows.append(

@@ -15,7 +15,7 @@ from nqr_geom.curves.curve import BlackBoxCurve, Curve
 from nqr_geom.integrator.estimate import Estimate, exactly, folded
 
 if TYPE_CHECKING:
-    from nqr_geom.integrator.plan import Way
+    from nqr_geom.integrator.plan import Goal, Way
     from nqr_geom.integrator.problem import Problem
 
 __all__ = ["curve_unit", "curve_ways", "models_of", "planned_curve", "planned_problem"]
@@ -26,6 +26,7 @@ Rows = NDArray[np.int64]
 # What "auto" chooses from; networks are left to those who name them.
 _METHODS = ("structured", "trapezoid", "stratified", "mc")
 _EXACT = {"gwn": 1e-11, "sd": 1e-9}  # measured against libigl and closed forms; distances relative to the curve's size
+_SHORT = 1e-3  # seconds
 _FEWEST = 32  # independent samples, before their spread says anything
 _FEW_POINTS = 64  # of a black box, to see how big it is
 
@@ -168,7 +169,10 @@ def planned_curve(
     goal = Goal.checked(count, tol, budget, **curve_unit(name, curve))
     keys = None if rows is None else check.rows(rows, count)
     methods = None if method == "auto" else [method]
-    ways = curve_ways(name, curve, exact, problem, seed=check.integer("seed", seed), methods=methods, keys=keys)
+    seed = check.integer("seed", seed)
+    if methods is None and _at_once(name, curve, goal):
+        methods = ["exact"]
+    ways = curve_ways(name, curve, exact, problem, seed=seed, methods=methods, keys=keys)
     if not ways:  # "exact" on a black box, which says why not
         exact()
     if any(way.sampled for way in ways):
@@ -176,6 +180,16 @@ def planned_curve(
     from nqr_geom.integrator.pursue import pursue
 
     return pursue(ways, goal, clock)
+
+
+def _at_once(name: str, curve: Curve, goal: Goal) -> bool:
+    """Whether exact answers to the tolerance take less time than it is worth to weigh other methods."""
+    from nqr_geom.integrator.models import model
+
+    known = None if isinstance(curve, BlackBoxCurve) else model(name, "exact")
+    if known is None or goal.tol is None or goal.budget is not None:
+        return False
+    return goal.tol >= _EXACT[name] * goal.scale and known.cost.seconds(goal.rows, 0.0, goal.size) < _SHORT
 
 
 def planned_problem(

@@ -149,7 +149,8 @@ RECIPES: dict[str, Recipe] = {
             family=gwn_batch,
             base="uniform",
             consistent="trapezoid",
-            config=INetConfig(_CURVE, direct=True, reach=1),
+            # A third block and larger hidden layers cost time alone (loss curves in training/gwn-uniform).
+            config=INetConfig(_CURVE, layers=2, expansion=2, direct=True, reach=1),
             sees=_CURVE_SEES,
             extra=CURVE_TOKENS,
             sizes=_SIZES,
@@ -316,12 +317,17 @@ JOINT: dict[str, JointRecipe] = {
             ToyGaps,
             *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
-        _pair(
-            "gwn-nqr",
+        JointRecipe(
+            # Beside a sampler's time a larger integrator's counts little.
+            replace(
+                RECIPES["gwn-uniform"],
+                name="gwn-nqr",
+                config=INetConfig(_CURVE, direct=True, reach=1),
+                sizes=((32, 0.8), (16, 0.1), (64, 0.1)),
+            ),
             "gwn-uniform",
             SNetConfig(CURVE_SAMPLE, sharpness=4.0, profile=_MIDDLE),
             CurveGaps,
-            *((32, 0.8), (16, 0.1), (64, 0.1)),
         ),
         JointRecipe(
             # The sampler begins as walk-spread-full, and the answer as walk-fit: its errors and a network's have little

@@ -313,6 +313,7 @@ def run(
     inner = np.zeros(shape)
     fallback = np.zeros(problem.batch, dtype=bool)
     counts: dict[str, int] = {"samples": 0, "queries": 0}
+    memory.keep_blocks()
     start = time.perf_counter()
     with memory.PeakMemory() as peak, torch.no_grad():
         for replicate in range(first, first + replicates):

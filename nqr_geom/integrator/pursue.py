@@ -86,28 +86,37 @@ class _Answer:
 
     def put(self, rows: Rows, found: Estimate, bound: Floats) -> None:
         """Keep what is better than before; without an answer yet, anything is."""
-        width = found.value.shape[1]
-        if self.value.shape[1] != width:
-            self.value, self.inner = (np.full((len(self.value), width), np.nan) for _ in range(2))
-        at: Any = slice(None)  # the first answer is to everything
-        keep: Any = at
-        if self.last is not None or len(rows) < len(self.value):
+        if self.last is None:  # the first answer is to everything, and often the only one
+            self.value, self.inner, self.error, self.fallback = found.value, found.inner, bound, found.fallback
+        else:
+            if not self.moments:
+                self._own(self.last.statistics)
             keep = (bound <= self.error[rows]) | ~np.isfinite(self.error[rows])
             at = rows[keep]
-        self.value[at], self.inner[at], self.error[at] = found.value[keep], found.inner[keep], bound[keep]
-        self.fallback[at] = found.fallback[keep]
-        for name in ("m2", "m3", "m4"):
-            array = getattr(found.statistics, name)
-            kept = self.moments.setdefault(name, np.full_like(self.value, np.nan))
-            kept[at] = np.nan if array is None else array[keep]
-        self.count[at] = np.broadcast_to(np.reshape(found.statistics.count, (-1, 1)), (len(rows), 1))[keep]
+            self.value[at], self.inner[at], self.error[at] = found.value[keep], found.inner[keep], bound[keep]
+            self.fallback[at] = found.fallback[keep]
+            for name, kept in self.moments.items():
+                array = getattr(found.statistics, name)
+                kept[at] = np.nan if array is None else array[keep]
+            self.count[at] = _counts(found.statistics, len(rows))[keep]
         self.kinds.append(found.statistics.kind)
         self.n, self.last = max(self.n, found.n), found
         for key, amount in found.counts.items():
             self.counts[key] = self.counts.get(key, 0) + amount
 
+    def _own(self, first: Statistics) -> None:
+        """Copies of the first answer, to be changed where others are better."""
+        self.value, self.inner, self.error = (array.copy() for array in (self.value, self.inner, self.error))
+        self.fallback = self.fallback.copy()
+        for name in ("m2", "m3", "m4"):
+            array = getattr(first, name)
+            self.moments[name] = np.full_like(self.value, np.nan) if array is None else array.copy()
+        self.count = _counts(first, len(self.value)).copy()
+
     def statistics(self) -> Statistics:
         """Of every integral's own terms; without spread where integrals were answered in different manners."""
+        if self.last is not None and not self.moments:
+            return self.last.statistics
         kinds = set(self.kinds)
         plain = len(kinds) == 1 and not any(np.isnan(m).any() for m in self.moments.values() if m.size)
         if plain:
@@ -115,6 +124,11 @@ class _Answer:
             return Statistics(self.value, count=count, kind=kinds.pop(), **self.moments)
         m2 = np.nan_to_num(self.moments.get("m2", np.zeros_like(self.value)))
         return Statistics(self.value, m2, 1, "replicates")
+
+
+def _counts(statistics: Statistics, rows: int) -> NDArray[np.int64]:
+    """Terms of each of so many integrals, (rows, 1)."""
+    return np.broadcast_to(np.reshape(statistics.count, (-1, 1)), (rows, 1))
 
 
 def _joined(parts: Sequence[Estimate]) -> Estimate:
@@ -277,7 +291,7 @@ def _solve(way: Way, tol: float, goal: Goal, answer: _Answer) -> None:
     seconds = time.perf_counter() - start
     bound = found.error if found.error is not None else np.full(goal.rows, np.inf)
     answer.put(np.arange(goal.rows), found, bound)
-    still = int((bound > goal.tol).sum()) if goal.tol is not None else 0
+    still = int(np.count_nonzero(bound > goal.tol)) if goal.tol is not None else 0
     answer.levels.append(_Level(way.method, 0, goal.rows, seconds, still))
 
 
@@ -374,7 +388,7 @@ def _told(answer: _Answer, listed: Sequence[Forecast], goal: Goal, clock: Clock,
     if last is None:
         raise ValueError("budget: nothing was answered")
     chosen = answer.levels[-1].method
-    met = None if goal.tol is None else bool((answer.error <= goal.tol).all())
+    within = None if goal.tol is None else int(np.count_nonzero(answer.error <= goal.tol))
     statistics = answer.statistics()
     stderr = statistics.stderr
     if stderr is None and all(kind == "replicates" for kind in answer.kinds) and answer.levels[-1].n == 0:
@@ -391,8 +405,8 @@ def _told(answer: _Answer, listed: Sequence[Forecast], goal: Goal, clock: Clock,
         "levels": [vars(level) for level in answer.levels],
         "sizes": tuple(level.n for level in answer.levels),
         "error": float(answer.error.max(initial=0.0)),
-        "within": None if goal.tol is None else float(np.mean(answer.error <= goal.tol)) if goal.rows else 1.0,
-        "met": met,
+        "within": None if within is None else within / goal.rows if goal.rows else 1.0,
+        "met": None if within is None else within == goal.rows,
         "warmup_seconds": clock.paused,
     }
     spent = clock.spent

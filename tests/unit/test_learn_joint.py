@@ -155,6 +155,19 @@ def test_a_sampler_without_a_rate_stays_as_it_is(tmp_path: Path) -> None:
         assert any((a != b).any() for a, b in weights) == changes
 
 
+def test_a_pair_may_have_a_larger_integrator_than_it_begins_with(tmp_path: Path) -> None:
+    net = train(RULE, tmp_path / "rule", TrainConfig(4, batch=8, every=4, validation=32), progress=False)
+    config = replace(RULE.config, layers=RULE.config.layers + 1, expansion=RULE.config.expansion + 1)
+    larger = replace(PAIR, rule=replace(PAIR.rule, config=config))
+    short = replace(SHORT, iterations=1, rate=1e-30)
+    begun, _ = train_jointly(
+        larger, tmp_path / "pair", short, precision="32-true", progress=False, start_from=tmp_path / "rule"
+    )
+    tokens = torch.randn(4, 8, RULE.config.tokens.width, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        torch.testing.assert_close(begun(tokens), net(tokens), rtol=1e-5, atol=1e-7)
+
+
 def test_a_gate_that_the_run_before_lacks_begins_shut(tmp_path: Path) -> None:
     net = train(RULE, tmp_path / "rule", TrainConfig(4, batch=8, every=4, validation=32), progress=False)
     gated = replace(PAIR, rule=replace(PAIR.rule, config=replace(RULE.config, gated=True)))

@@ -117,6 +117,34 @@ def test_tolerances_are_met_and_the_plan_says_how(method, tol):
     json.dumps(got.plan["candidates"])
 
 
+def test_other_methods_are_weighed_where_exact_answers_take_long():
+    def weighed(points, **options):
+        got = ng.gwn(SQUARE, points, method="auto", full_output=True, **options)
+        assert got.plan["method"] == "exact" or got.plan["met"]
+        return [candidate["method"] for candidate in got.plan["candidates"]]
+
+    assert weighed(POINTS, tol=1e-3) == ["exact"]
+    assert set(weighed(np.tile(POINTS, (20_000, 1)), tol=1e-3)) > {"exact", "structured"}
+    assert set(weighed(POINTS, tol=1e-3, budget=1.0)) > {"exact", "structured"}
+
+
+def test_a_second_answer_changes_no_array_of_the_first():
+    first, second = (ng.gwn(SQUARE, POINTS, method="mc", n=n, seed=n, full_output=True) for n in (32, 64))
+    before = first.value.copy(), first.fallback.copy(), first.statistics.m2.copy()
+    answer, half = _Answer.empty(len(POINTS)), np.arange(0, len(POINTS), 2)
+    answer.put(np.arange(len(POINTS)), first, np.ones(len(POINTS)))
+    assert answer.statistics() is first.statistics
+    answer.put(half, replace(second, value=second.value[half], inner=second.inner[half],
+                             fallback=second.fallback[half], statistics=second.statistics.take(half)),
+               np.full(len(half), 0.5))  # fmt: skip
+    np.testing.assert_array_equal(answer.value[half], second.value[half])
+    np.testing.assert_array_equal(answer.value[1::2], first.value[1::2])
+    np.testing.assert_array_equal(answer.error, np.where(np.arange(len(POINTS)) % 2, 1.0, 0.5))
+    np.testing.assert_array_equal(answer.statistics().m2[1::2], first.statistics.m2[1::2])
+    for array, kept in zip((first.value, first.fallback, first.statistics.m2), before, strict=True):
+        np.testing.assert_array_equal(array, kept)
+
+
 def test_black_boxes_are_sampled_and_agree():
     box = ng.Curve.from_callable(SQUARE.sample, pieces=4)
     got = ng.gwn(box, POINTS, method="auto", tol=1e-2, full_output=True)
