@@ -37,7 +37,8 @@ def keep_blocks() -> None:
 
     It may hand them back to the system, and then every array of every tile is fresh memory, which the system clears
     page by page: that can take a third of a network's time. glibc keeps blocks as large as the largest that was freed
-    so far, so one is; it is never written to, and takes no memory. Elsewhere nothing happens.
+    so far, so one is; it is never written to, and takes no memory. Elsewhere, or where MALLOC_TRIM_THRESHOLD_ is set,
+    nothing happens.
 
     Examples
     --------
