@@ -108,3 +108,11 @@ def callables(rows: list[Row]) -> str:
             for row in rows
         ],
     )
+
+
+def fresh_memory(rows: list[Row]) -> str:
+    """A network whose tiles keep their memory, and one whose tiles do not."""
+    return markdown(
+        ["freed blocks", "milliseconds a picture", "fresh pages", "times as long"],
+        [[row["blocks"], *(short(row[key]) for key in ("milliseconds", "pages", "times_kept"))] for row in rows],
+    )

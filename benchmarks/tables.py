@@ -20,7 +20,7 @@ import layouts_render
 import layouts_sd
 import layouts_walks
 import targets
-from layouts_time import callables, equal_time, learned_time, precision, sampling
+from layouts_time import callables, equal_time, fresh_memory, learned_time, precision, sampling
 from page import Row, interval, markdown, short, span
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -254,6 +254,7 @@ SECTIONS: list[tuple[str, str, Callable[[list[Row]], str]]] = [
     ("callables", "What the structured method costs on curves that are callables", callables),
     ("snet_time", "What placing samples by a network costs, compiled and not", sampling),
     ("learned_time", "Table 18: what learned winding numbers cost in time", learned_time),
+    ("fresh_memory", "What it costs a network to get fresh memory for every tile", fresh_memory),
     ("precision", "What products in bfloat16 are worth to networks with attention layers", precision),
     ("equal_time", "Equal time: classical rules against structured and learned ones", equal_time),
     ("toy_methods", "The toy family of Fig. 37", methods),

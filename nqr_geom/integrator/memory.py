@@ -36,9 +36,9 @@ def keep_blocks() -> None:
     """Have the C library keep freed blocks of up to 31 MiB for what comes next.
 
     It may hand them back to the system, and then every array of every tile is fresh memory, which the system clears
-    page by page: that can take a third of a network's time. glibc keeps blocks as large as the largest that was freed
-    so far, so one is; it is never written to, and takes no memory. Elsewhere, or where MALLOC_TRIM_THRESHOLD_ is set,
-    nothing happens.
+    page by page (`benchmarks/fresh_memory.py`). glibc keeps blocks as large as the largest that was freed so far, so
+    one is; it is never written to, and takes no memory. Elsewhere, or where MALLOC_TRIM_THRESHOLD_ is set, nothing
+    happens.
 
     Examples
     --------

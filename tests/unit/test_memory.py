@@ -29,7 +29,6 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the C library of other systems decides by itself")
 def test_blocks_of_a_tile_are_kept() -> None:
-    """Without `keep_blocks` the same tiles take up to 160,000 fresh pages."""
     # Whoever sets these decides for the C library; workers of dask that ran before in this process do.
     env = {key: value for key, value in os.environ.items() if not key.startswith("MALLOC_")}
     done = subprocess.run([sys.executable, "-c", BLOCKS], capture_output=True, text=True, check=True, env=env)
