@@ -15,7 +15,7 @@ from nqr_geom.curves.curve import BlackBoxCurve, Curve
 from nqr_geom.integrator.estimate import Estimate, exactly, folded
 
 if TYPE_CHECKING:
-    from nqr_geom.integrator.plan import Goal, Way
+    from nqr_geom.integrator.plan import Way
     from nqr_geom.integrator.problem import Problem
 
 __all__ = ["curve_unit", "curve_ways", "models_of", "planned_curve", "planned_problem"]
@@ -162,17 +162,20 @@ def planned_curve(
     rows: ArrayLike | None,
 ) -> Estimate:
     """`gwn` or `sd` to a tolerance, within a time, or both."""
-    from nqr_geom.integrator.plan import Clock, Goal
+    from nqr_geom.integrator.plan import Clock, Goal, forecast
 
     clock = Clock.start()
     count = len(check.array("points", points, ("m", 2)))
     goal = Goal.checked(count, tol, budget, **curve_unit(name, curve))
     keys = None if rows is None else check.rows(rows, count)
-    methods = None if method == "auto" else [method]
-    seed = check.integer("seed", seed)
-    if methods is None and _at_once(name, curve, goal):
-        methods = ["exact"]
-    ways = curve_ways(name, curve, exact, problem, seed=seed, methods=methods, keys=keys)
+    told: dict[str, Any] = {"seed": check.integer("seed", seed), "keys": keys}
+    ways: list[Way] = []
+    if method == "auto" and goal.tol is not None and goal.budget is None:
+        alone = curve_ways(name, curve, exact, problem, methods=["exact"], **told)
+        ways = [way for way in alone if forecast(way, goal).seconds < _SHORT]  # weighing others would take as long
+    if not ways:
+        methods = None if method == "auto" else [method]
+        ways = curve_ways(name, curve, exact, problem, methods=methods, **told)
     if not ways:  # "exact" on a black box, which says why not
         exact()
     if any(way.sampled for way in ways):
@@ -180,16 +183,6 @@ def planned_curve(
     from nqr_geom.integrator.pursue import pursue
 
     return pursue(ways, goal, clock)
-
-
-def _at_once(name: str, curve: Curve, goal: Goal) -> bool:
-    """Whether exact answers to the tolerance take less time than it is worth to weigh other methods."""
-    from nqr_geom.integrator.models import model
-
-    known = None if isinstance(curve, BlackBoxCurve) else model(name, "exact")
-    if known is None or goal.tol is None or goal.budget is not None:
-        return False
-    return goal.tol >= _EXACT[name] * goal.scale and known.cost.seconds(goal.rows, 0.0, goal.size) < _SHORT
 
 
 def planned_problem(

@@ -59,30 +59,18 @@ class _Level:
 class _Answer:
     """Best answers so far, integral by integral."""
 
-    value: Floats
-    inner: Floats
-    error: Floats
-    fallback: NDArray[np.bool_]
-    moments: dict[str, Floats]
-    count: NDArray[np.int64]
-    kinds: list[str]
+    value: Floats = field(default_factory=lambda: np.empty((0, 1)))
+    inner: Floats = field(default_factory=lambda: np.empty((0, 1)))
+    error: Floats = field(default_factory=lambda: np.empty(0))
+    fallback: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    moments: dict[str, Floats] = field(default_factory=dict)  # of answers that were put together from several
+    count: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 1), dtype=np.int64))
+    kinds: list[str] = field(default_factory=list)
     n: int = 0
     counts: dict[str, int] = field(default_factory=dict)
     levels: list[_Level] = field(default_factory=list)
     last: Estimate | None = None
     pace: dict[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def empty(cls, rows: int) -> _Answer:
-        return cls(
-            np.full((rows, 1), np.nan),
-            np.full((rows, 1), np.nan),
-            np.full(rows, np.inf),
-            np.zeros(rows, dtype=bool),
-            {},
-            np.ones((rows, 1), dtype=np.int64),
-            [],
-        )
 
     def put(self, rows: Rows, found: Estimate, bound: Floats) -> None:
         """Keep what is better than before; without an answer yet, anything is."""
@@ -322,7 +310,7 @@ def pursue(ways: Sequence[Way], goal: Goal, clock: Clock | None = None) -> Estim
         raise ValueError("tol: expected a tolerance, or a budget, or both, got neither")
     clock = Clock.start() if clock is None else clock
     clock.budget = goal.budget
-    answer = _Answer.empty(goal.rows)
+    answer = _Answer()
     if goal.budget is not None:
         _warm(ways, goal, clock)
     listed, mode, why = _chosen(ways, goal, clock)

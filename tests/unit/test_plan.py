@@ -86,7 +86,7 @@ def test_a_level_is_checked_against_the_one_before_where_that_is_near():
         return replace(ng.gwn(SQUARE, POINTS[: len(rows)], full_output=True), value=value, inner=value, n=n)
 
     goal = Goal(2, tol=1e-9)
-    sampling = _Sampling(replace(way("design", 1e-6, 1.0), draw=draw), goal, _Answer.empty(2), Clock())
+    sampling = _Sampling(replace(way("design", 1e-6, 1.0), draw=draw), goal, _Answer(), Clock())
     bounds = [sampling.level(np.arange(2), n) for n in (8, 16, 200, 600)]
     assert drawn == [(4, 0), (8, 1), (16, 2), (100, 3), (200, 4), (600, 5)]
     for n, bound in zip((8, 16, 200, 600), bounds, strict=True):
@@ -131,7 +131,7 @@ def test_other_methods_are_weighed_where_exact_answers_take_long():
 def test_a_second_answer_changes_no_array_of_the_first():
     first, second = (ng.gwn(SQUARE, POINTS, method="mc", n=n, seed=n, full_output=True) for n in (32, 64))
     before = first.value.copy(), first.fallback.copy(), first.statistics.m2.copy()
-    answer, half = _Answer.empty(len(POINTS)), np.arange(0, len(POINTS), 2)
+    answer, half = _Answer(), np.arange(0, len(POINTS), 2)
     answer.put(np.arange(len(POINTS)), first, np.ones(len(POINTS)))
     assert answer.statistics() is first.statistics
     answer.put(half, replace(second, value=second.value[half], inner=second.inner[half],
