@@ -3,7 +3,8 @@
     python benchmarks/gwn_time.py [--quick]
 
 Milliseconds for a whole picture of one random shape, and how many times Monte Carlo's with as many samples that is.
-Monte Carlo is the compiled one, on as many threads; all in one run, the best of several repetitions each.
+Monte Carlo is the compiled one, on as many threads; all in one run, the best of several repetitions each (networks:
+three).
 """
 
 from __future__ import annotations

@@ -57,9 +57,10 @@ def main() -> None:
     quick = parser.parse_args().quick
     torch.set_num_threads(1)
     rows: list[dict[str, Any]] = []
-    for name in NAMES[:1] if quick else NAMES:
-        for kind, jobs in jobs_of(name, 64 if quick else 512).items():
-            spent = {told: 1e6 * took[1] / (64 if quick else 512) for told, took in interleaved(jobs, 5).items()}
+    names, integrals = (NAMES[:1], 64) if quick else (NAMES, 512)
+    for name in names:
+        for kind, jobs in jobs_of(name, integrals).items():
+            spent = {told: 1e6 * took[1] / integrals for told, took in interleaved(jobs, 5).items()}
             rows.append({"network": name, "kind": kind, **spent, "ratio": spent["bfloat16"] / spent["float32"]})
     table = Table("network", "", "float32, us an integral", "bfloat16", "ratio", title=f"AMX: {has_bfloat16()}")
     for row in rows:

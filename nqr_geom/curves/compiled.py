@@ -1,5 +1,7 @@
 """Sampler and rule in one compiled pass, for winding numbers of polynomial pieces on a CPU.
 
+Each by itself, too, for points that a callable gave.
+
 The same points, the same formulas and the same answer (to rounding) as `samplers`, `structured` and `hermite`, which
 stay the reference: what is compiled here is what error-against-time charts must not be unfair to.
 """
@@ -506,7 +508,7 @@ def placed(
     -------
     s, position, tangent, piece : ndarray, (B, n), (B, n, 2) twice, (B, n)
     """
-    batch = len(points)
+    batch, keyed = len(points), unsigned(key)
     s, gain = np.empty((batch, n)), np.empty((batch, n))
     position, r, t = (np.empty((batch, n, 2)) for _ in range(3))
     piece, left, right = (np.empty((batch, n), np.int64) for _ in range(3))
@@ -518,6 +520,6 @@ def placed(
         position[:, asked], t[:, asked], piece[:, asked] = look(s[:, asked])
         np.subtract(position[:, asked], points[:, None], out=r[:, asked])
         if i < n:
-            _next_rows(rows, unsigned(key), k, i, spread, s, r, t, left, right, gain, chosen)
+            _next_rows(rows, keyed, k, i, spread, s, r, t, left, right, gain, chosen)
             asked = slice(i, i + 1)
     return s, position, t, piece

@@ -18,6 +18,7 @@ from nqr_geom.integrator.rules import MonteCarlo
 from nqr_geom.integrator.samplers import Random, Sampler, Sobol, Stratified
 from nqr_geom.keyed import mixed, unit, unsigned
 from nqr_geom.streams import Stream
+from tests.tensors import GwnByTensors, RefineByTensors
 
 
 class Plain(GwnProblem):
@@ -29,18 +30,6 @@ class Plain(GwnProblem):
 
 def plain(problem: GwnProblem) -> Plain:
     return Plain(**{field.name: getattr(problem, field.name) for field in fields(problem)})
-
-
-class RuleByTensors(GwnHermite):
-    """The reference."""
-
-    by_kernel = GwnHermite.by_tensors
-
-
-class RefineByTensors(CurveRefine):
-    """The reference."""
-
-    by_kernel = CurveRefine.by_tensors
 
 
 @njit
@@ -117,7 +106,7 @@ def test_refined_cubics(n: int, pieces: int) -> None:
     points = np.random.default_rng(n).uniform(-1, 1, (700, 2))
     problem = GwnProblem.of([cubics(k, pieces) for k in range(3)], points)
     fast = run(problem, CurveRefine(), GwnHermite(), n, seed=n)
-    slow = run(plain(problem), RefineByTensors(), RuleByTensors(), n, seed=n)
+    slow = run(plain(problem), RefineByTensors(), GwnByTensors(), n, seed=n)
     assert "compiled" in fast.stages
     # Nearly equal gains may be ordered differently by a last digit, and then another gap is cut.
     same = np.abs(fast.value - slow.value)[:, 0] < 1e-11
@@ -136,7 +125,7 @@ def test_curves_through_the_query_and_degenerate_ones() -> None:
     problem = GwnProblem.of(shapes, points)
     for n in (8, 32, 100):
         fast = run(problem, CurveRefine(), GwnHermite(), n)
-        slow = run(plain(problem), RefineByTensors(), RuleByTensors(), n)
+        slow = run(plain(problem), RefineByTensors(), GwnByTensors(), n)
         assert np.isfinite(fast.value).all()
         off = ~(fast.fallback | slow.fallback)
         np.testing.assert_allclose(fast.value[off], slow.value[off], atol=1e-11)

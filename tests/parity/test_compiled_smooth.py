@@ -16,6 +16,7 @@ from nqr_geom.integrator.estimate import Estimate, run
 from nqr_geom.integrator.rules import MonteCarlo, Rule
 from nqr_geom.integrator.samplers import Random, Sampler, Sobol, Stratified
 from nqr_geom.streams import Stream
+from tests.tensors import RefineByTensors, SdByTensors
 
 RNG = np.random.default_rng(0)
 CURVES = [ng.Curve.bezier(RNG.uniform(-1, 1, (6, 4, 2))) for _ in range(2)]
@@ -40,21 +41,9 @@ def plain(problem: SdProblem) -> Plain:
     return Plain(**{field.name: getattr(problem, field.name) for field in fields(problem)})
 
 
-class RuleByTensors(SdHermite):
-    """The reference."""
-
-    by_kernel = SdHermite.by_tensors
-
-
-class RefineByTensors(CurveRefine):
-    """The reference."""
-
-    by_kernel = CurveRefine.by_tensors
-
-
 def run_plainly(problem: SdProblem, pair: tuple[Sampler, Rule], n: int, seed: int = 0) -> Estimate:
     sampler = RefineByTensors() if isinstance(pair[0], CurveRefine) else pair[0]
-    rule = RuleByTensors() if isinstance(pair[1], SdHermite) else pair[1]
+    rule = SdByTensors() if isinstance(pair[1], SdHermite) else pair[1]
     return run(plain(problem), sampler, rule, n, seed=seed)
 
 

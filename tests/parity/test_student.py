@@ -21,6 +21,7 @@ from nqr_geom.integrator.learn.zoo import Model
 from nqr_geom.integrator.rules import MonteCarlo, Trapezoid
 from nqr_geom.integrator.samplers import Random, Sobol, Stratified
 from nqr_geom.streams import Stream
+from tests.tensors import GwnByTensors
 
 DESIGNS = pytest.mark.parametrize("sampler", [Random(), Stratified()], ids=lambda sampler: sampler.name)
 
@@ -30,12 +31,6 @@ class Plain(GwnProblem):
 
     def compiled(self, sampler: object, rule: object, n: int) -> None:
         return None
-
-
-class RuleByTensors(GwnHermite):
-    """The reference."""
-
-    by_kernel = GwnHermite.by_tensors
 
 
 def plain(problem: GwnProblem) -> Plain:
@@ -107,7 +102,7 @@ def test_corrections_of_the_rebuilt_curve_agree_in_every_digit(mixture: GwnProbl
 @pytest.mark.parametrize("n", [1, 8, 32])
 def test_the_rebuilt_curve_by_itself(mixture: GwnProblem, sampler, n: int) -> None:
     fast = run(mixture, sampler, GwnHermite(), n, seed=6)
-    slow = run(plain(mixture), sampler, RuleByTensors(), n, seed=6)
+    slow = run(plain(mixture), sampler, GwnByTensors(), n, seed=6)
     assert "compiled" in fast.stages
     same = fast.fallback == slow.fallback
     assert same.mean() > 0.995

@@ -94,12 +94,12 @@ def fit_shares(
                 continue
             blends = [torch.lerp(theirs, mine, share) for share in torch.linspace(0.0, 1.0, _CANDIDATES).tolist()]
             tried += torch.stack([(link(blend) - batch.answer).square().sum() for blend in blends])
-        share, left = float(tried.argmin()) / (_CANDIDATES - 1), float(tried.min())
+        share, before, left = float(tried.argmin()) / (_CANDIDATES - 1), float(tried[0]), float(tried.min())
         if total > 0.0:  # no link: a parabola
             share = min(1.0, max(0.0, gain / total))
-            left = plain - share * (2.0 * gain - share * total)
+            before, left = plain, plain - share * (2.0 * gain - share * total)
         if n > trained:
-            worth = left < (1.0 - _LEAST_GAIN) * max(plain, float(tried[0]))
+            worth = left < (1.0 - _LEAST_GAIN) * before
             share = faded(share if worth else 0.0, shares[-1] if shares else 1.0)
         shares.append(share)
     return tuple(shares)

@@ -404,7 +404,7 @@ def widen(weights: dict[str, Tensor], net: INet) -> None:
         known = weights.get(key)
         if known is None and part:
             known = torch.zeros_like(own) if part.startswith(("out.", "down.")) else own
-        if known is None or known.ndim != own.ndim:
+        if known is None:
             continue
         if key in ("embed_in.weight", "head.weight") or part in ("up.weight", "down.weight"):
             more = max(0, own.shape[1] - known.shape[1])
